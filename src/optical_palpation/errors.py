@@ -1,0 +1,24 @@
+"""The errors a user can meet, all derived from :class:`OpticalPalpationError`.
+
+Every message says what was wrong, where, and what to do.
+"""
+
+
+class OpticalPalpationError(Exception):
+    """Base of all errors this package raises on purpose."""
+
+
+class InputError(OpticalPalpationError, ValueError):
+    """Something the user supplied (file, map, number) cannot be used."""
+
+
+class MaterialError(InputError):
+    """Material parameters that describe no stable material."""
+
+
+class OutputError(OpticalPalpationError, OSError):
+    """A result could not be written."""
+
+
+class ConvergenceError(OpticalPalpationError, RuntimeError):
+    """The mechanical solution could not reach the full load."""
