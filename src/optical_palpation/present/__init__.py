@@ -1,1 +1,17 @@
+"""Results out: NetCDF, picture, ParaView file, profiles and a summary in words."""
 
+from optical_palpation.present.netcdf import read_result, write_result
+from optical_palpation.present.panel import write_panel
+from optical_palpation.present.profiles import centre_profiles, write_profiles
+from optical_palpation.present.summary import summarise
+from optical_palpation.present.vtk import write_vtk
+
+__all__ = [
+    "centre_profiles",
+    "read_result",
+    "summarise",
+    "write_panel",
+    "write_profiles",
+    "write_result",
+    "write_vtk",
+]

@@ -1,0 +1,116 @@
+"""Results as self-describing NetCDF-4 files: maps at the root, the layer in a group."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.errors import InputError
+from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.present.output import atomic, provenance
+
+_MM = {"units": "mm"}
+_KPA = {"units": "kPa"}
+_STATE = {
+    "flag_values": np.array([state.value for state in ContactState], dtype=np.int8),
+    "flag_meanings": " ".join(state.name.lower() for state in ContactState),
+}
+_ATTRIBUTES: dict[str, dict[str, Any]] = {
+    "x": {**_MM, "long_name": "lateral position x", "axis": "X"},
+    "y": {**_MM, "long_name": "lateral position y", "axis": "Y"},
+    "axial_stress": {**_KPA, "long_name": "axial Cauchy stress at the sample, tension positive"},
+    "contact_pressure": {**_KPA, "long_name": "contact pressure of the sample on the layer"},
+    "traction_x": {**_KPA, "long_name": "x component of the traction of the sample on the layer"},
+    "traction_y": {**_KPA, "long_name": "y component of the traction of the sample on the layer"},
+    "traction_z": {**_KPA, "long_name": "z component of the traction of the sample on the layer"},
+    "contact_state": {**_STATE, "long_name": "contact between layer and sample"},
+    "window_contact_state": {**_STATE, "long_name": "contact between layer and window"},
+    "loaded_thickness": {**_MM, "long_name": "loaded thickness of the layer"},
+    "algebraic_axial_stress": {**_KPA, "long_name": "axial stress by the algebraic method"},
+    "position": {**_MM, "long_name": "deformed position of the nodes"},
+    "displacement": {**_MM, "long_name": "displacement of the nodes"},
+    "cauchy_stress": {**_KPA, "long_name": "Cauchy stress, mean of each element"},
+    "sample_traction": {**_KPA, "long_name": "traction of the sample on the layer"},
+    "window_traction": {**_KPA, "long_name": "traction of the window on the layer"},
+    "sample_contact_state": {**_STATE, "long_name": "contact between layer and sample"},
+}
+# Inside the file the nodes of the layer need axis names of their own: tools that read the groups
+# of a file as one tree (such as xarray.open_datatree) take equal names for equal axes.
+_NODE_AXES = {axis: f"node_{axis}" for axis in ("x", "y", "z")}
+
+
+def write_result(result: StressResult, path: str | Path) -> None:
+    """Write a result as a NetCDF-4 file.
+
+    The maps are at the root, the deformed layer, if the result has one, in the group ``layer``
+    (in single precision, its axes named ``node_z``, ``node_y``, ``node_x`` there).
+    Units, signs, axis order, origin, spacing, software version and all parameters are attributes.
+    The file replaces an older one only when it is complete.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    maps = _described(result.maps).assign_attrs(Conventions="CF-1.11")
+    maps.attrs.update(provenance(result.maps))
+    groups, encoding = {"/": maps}, {"/": _compression(maps)}
+    if result.layer is not None:
+        layer = _described(result.layer)
+        groups["/layer"] = layer.rename({a: b for a, b in _NODE_AXES.items() if a in layer.dims})
+        encoding["/layer"] = _compression(layer, dtype=np.float32)
+    # By way of memory, because the HDF5 library can crash on a disk that fills up under it.
+    content = xr.DataTree.from_dict(groups).to_netcdf(engine="h5netcdf", encoding=encoding)
+    with atomic(path, "result") as temporary:
+        temporary.write_bytes(content)
+
+
+def read_result(path: str | Path) -> StressResult:
+    """Read back what :func:`write_result` wrote.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is no NetCDF-4 file, or holds no stress result.
+    """
+    import h5py
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    if not h5py.is_hdf5(path):
+        raise InputError(f"{path}: is not a NetCDF-4 file")
+    maps = xr.load_dataset(path, engine="h5netcdf", decode_times=False)
+    if "axial_stress" not in maps:
+        found = ", ".join(map(str, maps.data_vars)) or "nothing"
+        raise InputError(f"{path}: holds no stress result (no variable axial_stress, but {found})")
+    with h5py.File(path) as file:
+        has_layer = "layer" in file
+    if not has_layer:
+        return StressResult(maps)
+    layer = xr.load_dataset(path, engine="h5netcdf", group="layer", decode_times=False)
+    names = {b: a for a, b in _NODE_AXES.items() if b in layer.dims}
+    return StressResult(maps, layer.rename(names))
+
+
+def _described(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a shallow copy whose variables carry units and meaning."""
+    dataset = dataset.copy()
+    for name, variable in dataset.variables.items():
+        defaults = _ATTRIBUTES.get(str(name), {})
+        if "flag_values" in defaults:
+            dataset[name] = variable.astype(np.int8)
+        dataset[name].attrs = {**defaults, **variable.attrs}
+    return dataset
+
+
+def _compression(dataset: xr.Dataset, dtype: Any = None) -> dict[Any, dict[str, Any]]:
+    encoding: dict[Any, dict[str, Any]] = {}
+    for name, variable in dataset.data_vars.items():
+        encoding[name] = {"zlib": True, "complevel": 4, "shuffle": True} if variable.ndim else {}
+        if dtype is not None and variable.dtype.kind == "f":
+            encoding[name]["dtype"] = dtype
+    return encoding

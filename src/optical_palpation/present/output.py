@@ -1,0 +1,124 @@
+"""Output files that are either whole or absent, and what every one of them records."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.errors import OutputError
+
+SUFFIXES = {
+    "result": (".nc", ".nc4", ".h5"),
+    "picture": (".png", ".pdf", ".svg"),
+    "ParaView file": (".vts",),
+    "profiles": (".csv",),
+    "deck": (".inp",),
+}
+
+
+def check_writable(path: str | Path, kind: str) -> Path:
+    """Raise :class:`OutputError` now if a file of this kind could not be written there later.
+
+    Parameters
+    ----------
+    path
+        The intended file.
+    kind
+        A key of ``SUFFIXES``; the name must end as files of that kind do, because the programs
+        that open them go by the ending.
+
+    Raises
+    ------
+    OutputError
+        Wrong ending, missing folder, a folder in the file's place, or no permission to write.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES[kind]:
+        endings = " or ".join(SUFFIXES[kind])
+        raise OutputError(f"{path}: the {kind} needs a name that ends in {endings}")
+    folder = path.parent
+    if not folder.is_dir():
+        raise OutputError(f"{path}: there is no folder {folder}; create it first")
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder; give the name of a file")
+    try:
+        if path.exists() and not os.access(path, os.W_OK):
+            raise PermissionError("the file exists and is write-protected")
+        # Asking for permissions is not enough: only an actual file shows that one can be made.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"{path}: cannot be written ({reason}); choose another place") from error
+    return path
+
+
+@contextmanager
+def atomic(path: str | Path, kind: str) -> Iterator[Path]:
+    """Give a temporary path beside the target, which replaces the target if all goes well.
+
+    Raises
+    ------
+    OutputError
+        The target cannot be written; it is then as it was before.
+    """
+    path = check_writable(path, kind)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(
+            f"{path}: could not be written ({reason}); is the disk full or the folder protected?"
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def provenance(maps: xr.Dataset) -> dict[str, Any]:
+    """Return the attributes that every written file carries, in types that every format takes.
+
+    The software and its version, axis order, origin and spacing of the maps in mm, and all
+    attributes of the result (parameters, forces, convergence record, input hash). Values are
+    text, numbers or lists of numbers.
+    """
+    x, y = maps["x"].values, maps["y"].values
+    attributes: dict[str, Any] = {
+        "software": "optical-palpation",
+        "software_version": version("optical-palpation"),
+        "axis_order": "maps (y, x), volumes (z, y, x); z = 0 at the window, towards the sample",
+        "stress_sign": "Cauchy stress, tension positive; contact_pressure compression positive",
+        "origin_x_mm": float(x[0]),
+        "origin_y_mm": float(y[0]),
+        "spacing_x_mm": float((x[-1] - x[0]) / max(x.size - 1, 1)),
+        "spacing_y_mm": float((y[-1] - y[0]) / max(y.size - 1, 1)),
+    }
+    attributes.update({name: _plain(value) for name, value in maps.attrs.items()})
+    return attributes
+
+
+def _plain(value: Any) -> Any:
+    """Return text, a number or a list of numbers; anything else as JSON text."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, bool):
+        return int(value)
+    if isinstance(value, str | int | float):
+        return value
+    if isinstance(value, list | tuple) and value and all(type(v) in (int, float) for v in value):
+        return list(value)
+    return json.dumps(value, default=_as_list)
+
+
+def _as_list(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

@@ -1,0 +1,321 @@
+"""Writers against readers that share nothing with them: h5py, xarray, ElementTree, csv, PIL."""
+
+import base64
+import csv
+import json
+import os
+import resource
+import signal
+import xml.etree.ElementTree as ET
+
+import h5py
+import matplotlib.image
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optical_palpation.errors import InputError, OutputError
+from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.present import (
+    centre_profiles,
+    read_result,
+    summarise,
+    write_panel,
+    write_profiles,
+    write_result,
+    write_vtk,
+)
+from optical_palpation.present.output import atomic, check_writable
+
+X = np.linspace(0, 5, 11)
+Y = np.linspace(-1, 3, 9)
+WRITERS = {
+    write_result: "out.nc",
+    write_panel: "out.png",
+    write_vtk: "out.vts",
+    write_profiles: "out.csv",
+}
+
+
+def stress_field(y, x):
+    return -5.0 - 0.5 * x - 0.25 * y * y
+
+
+def example(nx=6, ny=5, nz=4):
+    """A layer in a sheared, compressed state whose every array differs along every axis."""
+    y, x = np.meshgrid(Y, X, indexing="ij")
+    stress = stress_field(y, x)
+    state = np.where(x < 1, ContactState.OPEN, np.where(x < 4, ContactState.STICK, 1))
+    grid = ("y", "x")
+    maps = xr.Dataset(
+        {
+            "axial_stress": (grid, stress),
+            "algebraic_axial_stress": (grid, 0.8 * stress),
+            "contact_pressure": (grid, -stress),
+            "traction_x": (grid, 0.1 * x),
+            "traction_y": (grid, 0.1 * y),
+            "traction_z": (grid, stress),
+            "contact_state": (grid, state),
+            "window_contact_state": (grid, np.full(state.shape, ContactState.STICK)),
+            "loaded_thickness": (grid, 0.4 + 0.01 * x, {"units": "mm"}),
+        },
+        coords={"y": Y, "x": X},
+        attrs={
+            "window_force_mN": 120.25,
+            "sample_force_mN": -120.25,
+            "element_size_mm": (0.1, 0.2, 0.3),
+            "edges": "free",
+            "converged": True,
+            "load_steps": [{"load": 0.5, "newton": 4}, {"load": 1.0, "newton": 5}],
+            "nothing": None,
+        },
+    )
+    z, y, x = np.meshgrid(
+        np.linspace(0, 0.5, nz), np.linspace(-1, 3, ny), np.linspace(0, 5, nx), indexing="ij"
+    )
+    displacement = np.stack([0.1 * z, 0.02 * y, -0.2 * z], axis=-1)
+    cells = (nz - 1, ny - 1, nx - 1)
+    cauchy = np.arange(np.prod(cells) * 6, dtype=float).reshape(*cells, 6)
+    node, cell, vector = ("z", "y", "x"), ("cell_z", "cell_y", "cell_x"), ("component",)
+    face = np.arange(ny * nx * 3, dtype=float).reshape(ny, nx, 3)
+    layer = xr.Dataset(
+        {
+            "displacement": (node + vector, displacement),
+            "position": (node + vector, np.stack([x, y, z], axis=-1) + displacement),
+            "cauchy_stress": ((*cell, "tensor"), cauchy),
+            "sample_traction": (("y", "x", *vector), face),
+            "window_traction": (("y", "x", *vector), -face),
+            "sample_contact_state": (("y", "x"), np.arange(ny * nx).reshape(ny, nx) % 3),
+            "window_contact_state": (("y", "x"), np.full((ny, nx), 2)),
+        },
+        coords={"component": ["x", "y", "z"], "tensor": ["xx", "yy", "zz", "yz", "xz", "xy"]},
+    )
+    return StressResult(maps, layer)
+
+
+def algebraic_example():
+    maps = example().maps[["algebraic_axial_stress", "contact_state", "loaded_thickness"]]
+    return StressResult(maps.assign(axial_stress=maps["algebraic_axial_stress"]).assign_attrs({}))
+
+
+def test_netcdf_round_trip(tmp_path):
+    result = example()
+    write_result(result, tmp_path / "out.nc")
+    back = read_result(tmp_path / "out.nc")
+    xr.testing.assert_equal(back.maps, result.maps)
+    xr.testing.assert_allclose(back.layer, result.layer, rtol=1e-7)
+    assert back.maps.attrs["window_force_mN"] == 120.25
+    assert list(back.maps.attrs["element_size_mm"]) == [0.1, 0.2, 0.3]
+    assert json.loads(back.maps.attrs["load_steps"])[1] == {"load": 1.0, "newton": 5}
+    write_result(back, tmp_path / "again.nc")
+    xr.testing.assert_identical(read_result(tmp_path / "again.nc").maps, back.maps)
+
+
+def test_netcdf_describes_itself(tmp_path):
+    write_result(example(), tmp_path / "out.nc")
+    with h5py.File(tmp_path / "out.nc") as file:
+        assert file["axial_stress"].attrs["units"] == "kPa"
+        assert file["loaded_thickness"].attrs["units"] == "mm"
+        assert file["x"].attrs["units"] == "mm"
+        state = file["contact_state"]
+        assert state.dtype == np.int8
+        assert state.attrs["flag_meanings"].split() == ["open", "slip", "stick"]
+        assert list(state.attrs["flag_values"]) == [0, 1, 2]
+        assert file["axial_stress"].compression == "gzip"
+        assert file.attrs["spacing_x_mm"] == pytest.approx(0.5)
+        assert file.attrs["origin_y_mm"] == -1
+        assert "tension positive" in file.attrs["stress_sign"]
+        assert file.attrs["software_version"]
+        assert file["layer/position"].attrs["units"] == "mm"
+    tree = xr.open_datatree(tmp_path / "out.nc", engine="h5netcdf")
+    assert tree["layer/cauchy_stress"].shape == (3, 4, 5, 6)
+    tree.close()
+
+
+def test_algebraic_result_round_trip(tmp_path):
+    write_result(algebraic_example(), tmp_path / "out.nc")
+    back = read_result(tmp_path / "out.nc")
+    assert back.layer is None
+    xr.testing.assert_equal(back.maps, algebraic_example().maps)
+
+
+@pytest.mark.parametrize("content", [None, b"not a file of this kind", "no result"])
+def test_what_is_no_result_is_refused(tmp_path, content):
+    path = tmp_path / "in.nc"
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content:
+        xr.Dataset({"other": 1}).to_netcdf(path, engine="h5netcdf")
+    with pytest.raises(InputError, match=r"in\.nc"):
+        read_result(path)
+
+
+def vts_arrays(path):
+    """Parse a .vts file from the VTK file format's description alone."""
+    grid = ET.parse(path).getroot().find("StructuredGrid")
+    sizes = [
+        b - a + 1 for a, b in np.reshape([int(n) for n in grid.get("WholeExtent").split()], (3, 2))
+    ]
+    types = {"Float32": "<f4", "Float64": "<f8", "Int8": "<i1"}
+    arrays = {}
+    for element in grid.iter("DataArray"):
+        if element.get("type") == "String":
+            text = bytes(int(n) for n in element.text.split())
+            assert text.endswith(b"\0")
+            arrays[element.get("Name")] = text[:-1].decode()
+            continue
+        raw = base64.b64decode(element.text)
+        assert int.from_bytes(raw[:8], "little") == len(raw) - 8
+        data = np.frombuffer(raw[8:], types[element.get("type")])
+        arrays[element.get("Name")] = data.reshape(-1, int(element.get("NumberOfComponents")))
+    return sizes, arrays
+
+
+def test_vtk_holds_the_deformed_layer(tmp_path):
+    result = example()
+    write_vtk(result, tmp_path / "out.vts")
+    (nx, ny, nz), arrays = vts_arrays(tmp_path / "out.vts")
+    assert (nx, ny, nz) == (6, 5, 4)
+    layer = result.layer
+    i, j, k = 4, 2, 3  # x, y, z; VTK numbers points with x fastest
+    point = i + nx * (j + ny * k)
+    assert arrays["position_mm"].shape == (nx * ny * nz, 3)
+    node = {"z": k, "y": j, "x": i}
+    np.testing.assert_array_equal(arrays["position_mm"][point], layer["position"].isel(node))
+    np.testing.assert_array_equal(
+        arrays["displacement_mm"][point], layer["displacement"].isel(node)
+    )
+    np.testing.assert_array_equal(
+        arrays["traction_kPa"][point], layer["sample_traction"].isel(y=j, x=i)
+    )
+    np.testing.assert_array_equal(
+        arrays["traction_kPa"][i + nx * j], layer["window_traction"].isel(y=j, x=i)
+    )
+    assert np.isnan(arrays["traction_kPa"][nx * ny : 2 * nx * ny]).all()
+    assert arrays["contact_state"][point, 0] == layer["sample_contact_state"][j, i]
+    assert (arrays["contact_state"][nx * ny : 2 * nx * ny] == -1).all()
+    cell = i + (nx - 1) * (j + (ny - 1) * 2)
+    s = layer["cauchy_stress"].isel(cell_z=2, cell_y=j, cell_x=i)
+    xx, yy, zz, yz, xz, xy = s.values
+    np.testing.assert_array_equal(
+        arrays["cauchy_stress_kPa"][cell], [xx, xy, xz, xy, yy, yz, xz, yz, zz]
+    )
+    assert json.loads(arrays["provenance"])["window_force_mN"] == 120.25
+
+
+def test_vtk_needs_a_layer(tmp_path):
+    with pytest.raises(InputError, match="computational"):
+        write_vtk(algebraic_example(), tmp_path / "out.vts")
+    assert not list(tmp_path.iterdir())
+
+
+def test_profiles_run_through_the_centre(tmp_path):
+    write_profiles(example(), tmp_path / "out.csv")
+    lines = (tmp_path / "out.csv").read_text().splitlines()
+    assert "# window_force_mN: 120.25" in lines
+    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    assert len(rows) == X.size + Y.size
+    for row in rows:
+        x, y = float(row["x_mm"]), float(row["y_mm"])
+        assert (y == 1.0) if row["along"] == "x" else (x == 2.5)
+        assert float(row["axial_stress_kPa"]) == pytest.approx(stress_field(y, x))
+        assert float(row["loaded_thickness_mm"]) == pytest.approx(0.4 + 0.01 * x)
+        assert int(row["contact_state"]) == (0 if x < 1 else 2 if x < 4 else 1)
+
+
+@given(nx=st.integers(1, 9), ny=st.integers(1, 9))
+def test_centre_is_at_most_half_a_pixel_away(nx, ny):
+    maps = xr.Dataset(
+        {"axial_stress": (("y", "x"), np.zeros((ny, nx)))},
+        coords={"y": np.arange(ny) * 0.1, "x": np.arange(nx) * 0.3},
+    )
+    along_x, along_y = centre_profiles(maps)
+    assert along_x.sizes == {"x": nx}
+    assert along_y.sizes == {"y": ny}
+    assert abs(float(along_x["y"]) - (ny - 1) * 0.05) <= 0.05 + 1e-12
+    assert abs(float(along_y["x"]) - (nx - 1) * 0.15) <= 0.15 + 1e-12
+
+
+@pytest.mark.parametrize("build", [example, algebraic_example])
+@pytest.mark.parametrize("suffix", ["png", "pdf", "svg"])
+def test_panel_is_drawn(tmp_path, build, suffix):
+    path = tmp_path / f"out.{suffix}"
+    write_panel(build(), path)
+    if suffix == "png":
+        picture = matplotlib.image.imread(path)
+        assert picture.shape[0] > 800
+        assert picture[..., :3].std() > 0.05
+    else:
+        assert path.stat().st_size > 10_000
+
+
+def test_both_methods_share_one_colour_scale():
+    from optical_palpation.present.panel import _draw
+
+    images = {a.get_title(): a.images[0] for a in _draw(example()).axes if a.images}
+    limits = {i.get_clim() for title, i in images.items() if "stress" in title}
+    assert len(limits) == 1
+    extent = images["Loaded thickness (mm)"].get_extent()
+    np.testing.assert_allclose(extent, [-0.25, 5.25, -1.25, 3.25])
+
+
+def test_summary_tells_forces_stress_and_contact():
+    text = summarise(example())
+    maps = example().maps
+    assert "window 120.2 mN" in text or "window 120.3 mN" in text
+    assert f"{float(maps['axial_stress'].mean()):.3f} kPa" in text
+    assert f"{float(maps['axial_stress'].min()):.3f} kPa" in text
+    assert "open 18.2%" in text  # 2 of 11 columns
+
+
+@pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
+def test_a_full_disk_leaves_the_old_file(tmp_path, write):
+    """The kernel refuses to let files grow beyond the limit, as a full disk would."""
+    path = tmp_path / WRITERS[write]
+    path.write_text("old")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (512, before[1]))
+    try:
+        with pytest.raises(OutputError, match="out"):
+            write(example(), path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_an_interrupted_writer_leaves_nothing(tmp_path):
+    def interrupted():
+        with atomic(tmp_path / "out.csv", "profiles") as temporary:
+            temporary.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("missing/out.nc", "no folder"),
+        ("folder.nc", "is a folder"),
+        ("out.txt", "ends in .nc"),
+        ("file.nc/out.nc", "no folder"),
+    ],
+)
+def test_unwritable_places_are_refused(tmp_path, name, message):
+    (tmp_path / "folder.nc").mkdir()
+    (tmp_path / "file.nc").touch()
+    with pytest.raises(OutputError, match=message):
+        check_writable(tmp_path / name, "result")
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="no file system that refuses files")
+def test_a_place_that_takes_no_files_is_refused():
+    with pytest.raises(OutputError, match="cannot be written"):
+        check_writable("/proc/self/out.nc", "result")
