@@ -1,0 +1,69 @@
+"""The algebraic method (section 3 of the paper): every pixel a uniaxial test of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.errors import InputError, MaterialError
+from optical_palpation.material import MooneyRivlin, stable_stretches
+from optical_palpation.thickness.frames import inside_layer
+from optical_palpation.thickness.initial import match_initial_thickness
+
+
+def algebraic_stress(
+    loaded: xr.DataArray, initial_thickness: float | xr.DataArray, material: MooneyRivlin
+) -> xr.DataArray:
+    """Axial stress from the strain of each pixel alone, ``E(strain) * strain``.
+
+    The strain is ``(L1 - L0) / L0`` and E the strain-adjusted (secant) Young's modulus of the
+    incompressible layer in uniaxial compression without friction; the bulk-to-shear ratio does not
+    enter. The stress is the axial Cauchy stress, force per deformed area, because it is compared
+    with the Cauchy stress of the computational method and the map shows the deformed layer.
+
+    Parameters
+    ----------
+    loaded
+        Loaded thickness L1 in mm on ``(y, x)``.
+    initial_thickness
+        Initial thickness L0 in mm, a number or a map, see
+        :func:`~optical_palpation.thickness.match_initial_thickness`.
+    material
+        Law of the layer.
+
+    Returns
+    -------
+    xarray.DataArray
+        ``algebraic_axial_stress`` in kPa on the coordinates of `loaded`, negative where the layer
+        is pressed, exactly zero where it is not (L1 >= L0), NaN where `loaded` is missing or
+        outside the layer's extent.
+
+    Raises
+    ------
+    InputError
+        If a loaded thickness is not positive, or loaded and initial thickness do not fit together.
+    MaterialError
+        If a pixel is compressed beyond the strain up to which the material is stable.
+    """
+    loaded = loaded.transpose("y", "x")
+    if np.any(loaded.values <= 0.0) or np.any(np.isinf(loaded.values)):
+        raise InputError("the loaded thickness must be positive and finite (NaN where missing)")
+    initial = match_initial_thickness(initial_thickness, loaded)
+    stretch = np.where(inside_layer(loaded), loaded.values / initial.values, np.nan)
+    # Out of contact the layer bears nothing: the map shows the gap, not a stretched layer.
+    stretch = np.minimum(stretch, 1.0)
+    lowest = stable_stretches(material.c10, material.c01)[0]
+    if np.nanmin(stretch) <= lowest:
+        raise MaterialError(
+            f"the layer is compressed by {100 * (1 - np.nanmin(stretch)):.3g} %, but the material "
+            f"c10 = {material.c10:g} kPa, c01 = {material.c01:g} kPa is stable only up to "
+            f"{100 * (1 - lowest):.3g} %"
+        )
+    strain = stretch - 1.0
+    stress = loaded.copy(data=material.strain_adjusted_modulus(strain) * strain)
+    stress.attrs = {
+        "units": "kPa",
+        "long_name": "axial Cauchy stress, algebraic method",
+        "no_contact_share": initial.attrs["no_contact_share"],
+    }
+    return stress.rename("algebraic_axial_stress")

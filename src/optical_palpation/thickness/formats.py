@@ -1,0 +1,237 @@
+"""Arrays and the units they carry out of files, told apart by content and not by suffix."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optical_palpation.errors import InputError
+
+FORMATS = "MATLAB .mat (v5, v7, v7.3), .npy, .npz, .csv, .txt, .tif, NetCDF"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One array of a file, with names of dimensions and attributes as far as the file has them."""
+
+    values: NDArray
+    dims: tuple[str, ...] = ()
+    attrs: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def unit(self) -> str | None:
+        """The ``units`` attribute."""
+        return str(self.attrs["units"]) if "units" in self.attrs else None
+
+
+def read_variables(path: Path) -> dict[str, Variable]:
+    """Read every array of a file.
+
+    Parameters
+    ----------
+    path
+        File in one of the formats of ``FORMATS``; recognised by its first bytes.
+
+    Returns
+    -------
+    dict
+        Arrays by name, indexed [row, column] as their authors saw them (MATLAB's column order is
+        undone). The name is ``""`` in formats that hold a single unnamed array.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, empty, a directory, unreadable, damaged or of an unknown format.
+    """
+    try:
+        if path.is_dir():
+            raise InputError(f"{path} is a directory; give one file ({FORMATS})")
+        if not path.exists():
+            raise InputError(f"{path}: no such file")
+        with path.open("rb") as file:
+            head = file.read(4096)
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} cannot be read: {error}") from error
+    if not head:
+        raise InputError(f"{path} is empty")
+    reader = _reader_for(head)
+    if reader is None:
+        raise InputError(
+            f"{path} is in no format that holds a thickness map ({FORMATS}); "
+            f"it begins with the bytes {head[:8].hex(' ')}"
+        )
+    try:
+        return reader(path)
+    except InputError:
+        raise
+    except Exception as error:  # whatever a library makes of a damaged file
+        kind = reader.__name__.removeprefix("_read_").replace("_", " ")
+        raise InputError(
+            f"{path} is damaged, truncated or no valid {kind} file: {error or type(error).__name__}"
+        ) from error
+
+
+def _reader_for(head: bytes) -> Callable[[Path], dict[str, Variable]] | None:
+    hdf5 = b"\x89HDF\r\n\x1a\n"
+    if head.startswith(b"MATLAB 7.3 MAT-file") or (
+        head.startswith(b"MATLAB") and head[512:520] == hdf5
+    ):
+        return _read_matlab_73
+    if head.startswith(b"MATLAB 5.0 MAT-file") or head[126:128] in (b"IM", b"MI"):
+        return _read_matlab_5
+    if head.startswith(hdf5):
+        return _read_netcdf_4
+    if head[:4] in (b"CDF\x01", b"CDF\x02"):
+        return _read_netcdf_3
+    if head.startswith(b"\x93NUMPY"):
+        return _read_npy
+    if head.startswith(b"PK\x03\x04"):
+        return _read_npz
+    if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        return _read_tiff
+    if b"\0" not in head:
+        return _read_text
+    return None
+
+
+def _read_matlab_5(path: Path) -> dict[str, Variable]:
+    from scipy.io import loadmat
+
+    contents = loadmat(path, appendmat=False)
+    return {
+        name: Variable(values)
+        for name, values in contents.items()
+        if isinstance(values, np.ndarray) and not name.startswith("__")
+    }
+
+
+def _read_matlab_73(path: Path) -> dict[str, Variable]:
+    import h5py
+
+    variables = {}
+    with h5py.File(path, "r") as file:
+        for name, item in file.items():
+            if not isinstance(item, h5py.Dataset) or name.startswith("#"):
+                continue
+            matlab_class = item.attrs.get("MATLAB_class", b"")
+            if matlab_class in (b"char", b"cell", b"function_handle"):
+                continue
+            values = np.asarray(item[()])
+            if "MATLAB_empty" in item.attrs:
+                values = np.empty([int(length) for length in values.ravel()])
+            elif values.dtype.names == ("real", "imag"):
+                values = (values["real"] + 1j * values["imag"]).T
+            else:
+                values = values.astype(bool).T if matlab_class == b"logical" else values.T
+            variables[name] = Variable(values)
+    return variables
+
+
+def _read_netcdf_4(path: Path) -> dict[str, Variable]:
+    return _read_with_xarray(path, "h5netcdf", phony_dims="sort")
+
+
+def _read_netcdf_3(path: Path) -> dict[str, Variable]:
+    return _read_with_xarray(path, "scipy")
+
+
+def _read_with_xarray(path: Path, engine: str, **options: str) -> dict[str, Variable]:
+    import xarray as xr
+
+    with xr.open_dataset(path, engine=engine, decode_times=False, **options) as dataset:  # type: ignore[arg-type]
+        return {
+            str(name): Variable(
+                np.asarray(variable.values),
+                tuple(str(dim) for dim in variable.dims),
+                variable.attrs,
+            )
+            for name, variable in dataset.variables.items()
+        }
+
+
+def _read_npy(path: Path) -> dict[str, Variable]:
+    return {"": Variable(np.asarray(np.load(path, allow_pickle=False)))}
+
+
+def _read_npz(path: Path) -> dict[str, Variable]:
+    variables = {}
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.namelist():
+            if not member.endswith(".npy"):
+                continue
+            with archive.open(member) as file:
+                try:
+                    values = np.lib.format.read_array(file, allow_pickle=False)
+                except ValueError as error:
+                    if "Object arrays" in str(error):  # notes beside the map; never unpickled
+                        continue
+                    raise
+            variables[member.removesuffix(".npy")] = Variable(values)
+    return variables
+
+
+def _read_tiff(path: Path) -> dict[str, Variable]:
+    import tifffile
+
+    return {"": Variable(np.asarray(tifffile.imread(path)))}
+
+
+def _read_text(path: Path) -> dict[str, Variable]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path} is neither UTF-8 text nor in another format that holds a thickness map "
+            f"({FORMATS})"
+        ) from error
+    lines = [
+        (number, line)
+        for number, raw in enumerate(text.splitlines(), start=1)
+        if (line := raw.split("#")[0].split("%")[0].rstrip()).strip()
+    ]
+    if not lines:
+        raise InputError(f"{path} holds no numbers, only blank lines or comments")
+    delimiter = next((mark for mark in "\t;," if mark in lines[0][1]), None)
+    rows = [(number, [cell.strip() for cell in line.split(delimiter)]) for number, line in lines]
+    header = rows[0][1]
+    if all(_number(cell) is None for cell in header):
+        if {cell.lower().split("_")[0] for cell in header} >= {"x", "y"}:
+            raise InputError(
+                f"{path}, line {rows[0][0]}: the header {', '.join(header)} says that this is a "
+                "list of points; a map needs one line per row of pixels"
+            )
+        del rows[0]
+    if not rows:
+        raise InputError(f"{path} holds a header line but no numbers")
+    values = np.empty((len(rows), len(rows[0][1])))
+    for row, (number, cells) in enumerate(rows):
+        if len(cells) != values.shape[1]:
+            raise InputError(
+                f"{path}, line {number}: {len(cells)} columns where the lines before have "
+                f"{values.shape[1]}"
+            )
+        for column, cell in enumerate(cells):
+            value = _number(cell)
+            if value is None:
+                raise InputError(
+                    f"{path}, line {number}, column {column + 1}: {cell[:40]!r} is no number"
+                )
+            values[row, column] = value
+    return {"": Variable(values)}
+
+
+def _number(cell: str) -> float | None:
+    """Value of a cell, NaN if it is empty (a missing pixel), None if it is no number."""
+    if not cell or cell.upper() in ("NA", "N/A"):
+        return np.nan
+    try:
+        return None if "_" in cell else float(cell)
+    except ValueError:
+        return None

@@ -1,0 +1,115 @@
+"""The unloaded thickness on the pixels of the loaded map, and whether the two fit together."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from optical_palpation.errors import InputError
+from optical_palpation.thickness.frames import inside_layer, layer_extent_of
+
+# Median loaded over initial thickness outside this range is no compression but a wrong unit.
+_PLAUSIBLE_RATIO = (0.01, 100.0)
+# The same for the width of the layer over its thickness.
+_PLAUSIBLE_ASPECT = (0.1, 2000.0)
+
+
+def match_initial_thickness(initial: float | xr.DataArray, loaded: xr.DataArray) -> xr.DataArray:
+    """Put the initial (unloaded) thickness on the pixels of the loaded map and check the pair.
+
+    Parameters
+    ----------
+    initial
+        Number in mm, or a map as :func:`read_thickness_map` gives it, without missing values (see
+        :func:`clean_thickness`) and covering the extent of the layer; it is interpolated linearly.
+    loaded
+        Loaded thickness, mm, on ``(y, x)``.
+
+    Returns
+    -------
+    xarray.DataArray
+        ``initial_thickness`` in mm on the coordinates of `loaded`. Attribute ``no_contact_share``:
+        the share of the layer's measured pixels that are not thinner than initially, where the
+        sample does not touch the layer.
+
+    Raises
+    ------
+    InputError
+        If `initial` is not positive and finite or does not cover the layer, if the two differ so
+        much that a unit must be wrong, or if no pixel of the layer is compressed.
+    """
+    inside = inside_layer(loaded)
+    if isinstance(initial, xr.DataArray):
+        values = _interpolated(initial, loaded)
+    else:
+        try:
+            values = np.full(loaded.shape, float(initial))
+        except (TypeError, ValueError):
+            raise InputError(f"initial thickness {initial!r} is no number of mm") from None
+    if not np.all(np.isfinite(values)) or np.any(values <= 0.0):
+        raise InputError(
+            f"initial thickness must be positive and finite, found {values.min():g} to "
+            f"{values.max():g} mm; missing values of a map can be filled with clean_thickness"
+        )
+    measured = inside & np.isfinite(loaded.values)
+    if not measured.any():
+        raise InputError("the loaded thickness is missing everywhere in the layer")
+    _check_units(loaded, float(np.median(loaded.values[measured])), float(np.median(values)))
+    share = float(np.mean(loaded.values[measured] >= values[measured]))
+    if share == 1.0:
+        raise InputError(
+            f"the loaded thickness ({loaded.values[measured].min():g} mm or more) is nowhere below "
+            f"the initial thickness ({values[measured].max():g} mm at most): nothing is pressed. "
+            "Check the initial thickness and the length unit"
+        )
+    return (
+        loaded.copy(data=values)
+        .rename("initial_thickness")
+        .assign_attrs(
+            units="mm",
+            long_name="initial (unloaded) thickness of the layer",
+            no_contact_share=share,
+        )
+    )
+
+
+def _interpolated(initial: xr.DataArray, loaded: xr.DataArray) -> NDArray[np.float64]:
+    x, y = initial["x"].values, initial["y"].values
+    extent = layer_extent_of(loaded)
+    slack = 1e-6 * max(extent[1] - extent[0], extent[3] - extent[2])
+    if (
+        min(extent[0] - x[0], extent[2] - y[0]) < -slack
+        or max(extent[1] - x[-1], extent[3] - y[-1]) > slack
+    ):
+        raise InputError(
+            f"the map of initial thickness spans x {x[0]:g} to {x[-1]:g}, y {y[0]:g} to "
+            f"{y[-1]:g} mm and does not cover the layer, {extent} (x0, x1, y0, y1)"
+        )
+    at = {
+        "x": np.clip(loaded["x"].values, x[0], x[-1]),
+        "y": np.clip(loaded["y"].values, y[0], y[-1]),
+    }
+    return initial.transpose("y", "x").interp(at).values
+
+
+def _check_units(loaded: xr.DataArray, loaded_median: float, initial_median: float) -> None:
+    ratio = loaded_median / initial_median
+    numbers = f"loaded {loaded_median:g} mm, initial {initial_median:g} mm (medians)"
+    if ratio > _PLAUSIBLE_RATIO[1]:
+        raise InputError(
+            f"loaded and initial thickness do not fit: {numbers}. The loaded thickness is probably "
+            "in um: say length_unit 'um'"
+        )
+    if ratio < _PLAUSIBLE_RATIO[0]:
+        raise InputError(
+            f"loaded and initial thickness do not fit: {numbers}. Probably the initial thickness "
+            "is in um: give it in mm; or the loaded thickness is in mm and was read as um"
+        )
+    x, y = loaded["x"].values, loaded["y"].values
+    for axis, width in (("x", x[-1] - x[0]), ("y", y[-1] - y[0])):
+        if not _PLAUSIBLE_ASPECT[0] < width / initial_median < _PLAUSIBLE_ASPECT[1]:
+            raise InputError(
+                f"the map is {width:g} mm wide along {axis} and the layer {initial_median:g} mm "
+                "thick: one of them is probably not in mm"
+            )
