@@ -1,0 +1,127 @@
+"""The structured hexahedral grid of the compliant layer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LayerGrid:
+    """Trilinear hexahedra over the field of view and [0, L0(x, y)].
+
+    Attributes
+    ----------
+    x, y
+        Lateral node coordinates, increasing, mm; shapes (nx + 1,), (ny + 1,).
+    depth
+        Node depths as fractions of the unloaded thickness, 0 at the window to 1 at the
+        sample side; shape (nz + 1,).
+    thickness
+        Unloaded thickness L0 at the lateral nodes, mm; shape (ny + 1, nx + 1).
+    """
+
+    x: Array
+    y: Array
+    depth: Array
+    thickness: Array
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Numbers of elements (nz, ny, nx)."""
+        return len(self.depth) - 1, len(self.y) - 1, len(self.x) - 1
+
+    @property
+    def node_shape(self) -> tuple[int, int, int]:
+        """Numbers of nodes (nz + 1, ny + 1, nx + 1)."""
+        return len(self.depth), len(self.y), len(self.x)
+
+    @property
+    def n_elements(self) -> int:
+        """Number of elements."""
+        nz, ny, nx = self.shape
+        return nz * ny * nx
+
+    @cached_property
+    def nodes(self) -> Array:
+        """Reference node positions, shape (3, nz + 1, ny + 1, nx + 1), mm."""
+        nodes = np.empty((3, *self.node_shape))
+        nodes[0] = self.x
+        nodes[1] = self.y[:, None]
+        nodes[2] = self.depth[:, None, None] * self.thickness
+        return nodes
+
+    def spacing(self) -> tuple[float, float, float]:
+        """Typical (median) element sizes (z, y, x), mm."""
+        return (
+            float(np.median(np.diff(self.depth)) * np.median(self.thickness)),
+            float(np.median(np.diff(self.y))),
+            float(np.median(np.diff(self.x))),
+        )
+
+    def interpolate_from(self, other: LayerGrid, field: Array) -> Array:
+        """Trilinear interpolation of a node field of another grid of the same layer.
+
+        ``field`` has trailing axes ``(y, x)`` or ``(z, y, x)`` of ``other``; leading axes are kept.
+        """
+        axes_from = [other.depth, other.y, other.x]
+        axes_to = [self.depth, self.y, self.x]
+        trailing = 3 if field.shape[-3:] == other.node_shape else 2
+        out = field
+        for offset in range(trailing):
+            axis = field.ndim - trailing + offset
+            coarse = axes_from[3 - trailing + offset]
+            fine = axes_to[3 - trailing + offset]
+            index = np.clip(np.searchsorted(coarse, fine, side="right") - 1, 0, len(coarse) - 2)
+            weight = np.clip((fine - coarse[index]) / np.diff(coarse)[index], 0.0, 1.0)
+            shape = [1] * out.ndim
+            shape[axis] = -1
+            weight = weight.reshape(shape)
+            out = out.take(index, axis) * (1 - weight) + out.take(index + 1, axis) * weight
+        return out
+
+    def interpolate_cells_from(self, other: LayerGrid, field: Array) -> Array:
+        """Linear interpolation of an element field (nz, ny, nx) between element centres."""
+        positions = []
+        for mine, theirs in ((self.depth, other.depth), (self.y, other.y), (self.x, other.x)):
+            centres = 0.5 * (theirs[1:] + theirs[:-1])
+            positions.append(
+                np.interp(0.5 * (mine[1:] + mine[:-1]), centres, np.arange(len(centres)))
+            )
+        grid = np.meshgrid(*positions, indexing="ij")
+        return map_coordinates(field, grid, order=1, mode="nearest")
+
+    def surface_areas(self, surface: Array) -> Array:
+        """Tributary areas, shape (ny + 1, nx + 1), mm^2, of the nodes of a bilinear surface.
+
+        ``surface`` holds node positions, shape (3, ny + 1, nx + 1).
+        """
+        d1 = surface[:, 1:, 1:] - surface[:, :-1, :-1]
+        d2 = surface[:, 1:, :-1] - surface[:, :-1, 1:]
+        quarter = 0.125 * np.linalg.norm(np.cross(d1, d2, axis=0), axis=0)
+        areas = np.zeros(surface.shape[1:])
+        for j in (slice(None, -1), slice(1, None)):
+            for i in (slice(None, -1), slice(1, None)):
+                areas[j, i] += quarter
+        return areas
+
+
+def node_positions(length: float, size: float, origin: float = 0.0) -> Array:
+    """Uniform node coordinates from ``origin`` over ``length`` with elements of about ``size``."""
+    count = max(1, round(length / size))
+    return origin + np.linspace(0.0, length, count + 1)
+
+
+def graded_depths(count: int, grading: float = 1.0) -> Array:
+    """Depth fractions of ``count`` elements, each ``grading`` times thinner than the last.
+
+    ``grading`` > 1 refines towards the sample side; 1 is uniform.
+    """
+    sizes = grading ** -np.arange(count, dtype=float)
+    return np.concatenate([[0.0], np.cumsum(sizes) / sizes.sum()])

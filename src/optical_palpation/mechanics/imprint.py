@@ -1,0 +1,105 @@
+"""The rigid imprint: the surface that carries the measured loaded thickness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import spline_filter
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Imprint:
+    """A rigid, laterally fixed surface z = h(x, y; load), lowered from the unloaded layer.
+
+    h = L0 + load (L1 - L0): at load 0 the imprint fits the unloaded sample side, at load 1 it is
+    the measured loaded thickness. Both maps are bicubic splines through their pixels; beyond the
+    last pixel the surface continues level.
+
+    Attributes
+    ----------
+    x, y
+        Uniform pixel coordinates, mm.
+    unloaded, loaded
+        Maps (y, x) of L0 and L1, mm.
+    """
+
+    x: Array
+    y: Array
+    unloaded: Array
+    loaded: Array
+    _coefficients: tuple[Array, Array] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        start = spline_filter(np.asarray(self.unloaded, float), order=3, mode="mirror")
+        end = spline_filter(np.asarray(self.loaded, float), order=3, mode="mirror")
+        object.__setattr__(self, "_coefficients", (start, end - start))
+
+    def evaluate(self, x: Array, y: Array, load: float) -> Array:
+        """Height and its derivatives (h, hx, hy, hxx, hxy, hyy) at points; shape (6, *x.shape)."""
+        start, change = self._coefficients
+        dx = (self.x[-1] - self.x[0]) / (len(self.x) - 1)
+        dy = (self.y[-1] - self.y[0]) / (len(self.y) - 1)
+        out = np.empty((6, x.size))
+        _spline(
+            (x.ravel() - self.x[0]) / dx, (y.ravel() - self.y[0]) / dy, start, change, load, out
+        )
+        out /= np.array([1, dx, dy, dx * dx, dx * dy, dy * dy])[:, None]
+        return out.reshape(6, *x.shape)
+
+
+@nb.njit
+def _weights(t, w):
+    """Cubic B-spline weights and their first two derivatives for the fraction t, w[3, 4]."""
+    s = 1 - t
+    w[0, 0], w[0, 3] = s * s * s / 6, t * t * t / 6
+    w[0, 1], w[0, 2] = 2 / 3 - t * t * (1 - t / 2), 2 / 3 - s * s * (1 - s / 2)
+    w[1, 0], w[1, 3] = -s * s / 2, t * t / 2
+    w[1, 1], w[1, 2] = t * (1.5 * t - 2), -s * (1.5 * s - 2)
+    w[2, 0], w[2, 1], w[2, 2], w[2, 3] = s, 3 * t - 2, 3 * s - 2, t
+
+
+@nb.njit
+def _mirror(i, n):
+    if n == 1:
+        return 0
+    i = abs(i)
+    return 2 * (n - 1) - i if i > n - 1 else i
+
+
+@nb.njit(parallel=True, cache=True)
+def _spline(px, py, start, change, load, out):
+    ny, nx = start.shape
+    for q in nb.prange(px.size):
+        x, y = min(max(px[q], 0.0), nx - 1.0), min(max(py[q], 0.0), ny - 1.0)
+        i, j = min(int(x), nx - 2), min(int(y), ny - 2)
+        wx, wy = np.empty((3, 4)), np.empty((3, 4))
+        _weights(x - i, wx)
+        _weights(y - j, wy)
+        h = hx = hy = hxx = hxy = hyy = 0.0
+        for b in range(4):
+            jj = _mirror(j - 1 + b, ny)
+            v = vx = vxx = 0.0
+            for a in range(4):
+                ii = _mirror(i - 1 + a, nx)
+                c = start[jj, ii] + load * change[jj, ii]
+                v += wx[0, a] * c
+                vx += wx[1, a] * c
+                vxx += wx[2, a] * c
+            h += wy[0, b] * v
+            hx += wy[0, b] * vx
+            hxx += wy[0, b] * vxx
+            hy += wy[1, b] * v
+            hxy += wy[1, b] * vx
+            hyy += wy[2, b] * v
+        outside_x, outside_y = x != px[q], y != py[q]
+        out[0, q] = h
+        out[1, q] = 0.0 if outside_x else hx
+        out[2, q] = 0.0 if outside_y else hy
+        out[3, q] = 0.0 if outside_x else hxx
+        out[4, q] = 0.0 if outside_x or outside_y else hxy
+        out[5, q] = 0.0 if outside_y else hyy

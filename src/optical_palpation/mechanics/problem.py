@@ -1,0 +1,111 @@
+"""The boundary-value problem of the layer, and a state of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .grid import LayerGrid
+from .imprint import Imprint
+
+Array = NDArray[np.float64]
+WINDOW, SAMPLE = 0, 1
+
+
+@dataclass(frozen=True, eq=False)
+class LayerProblem:
+    """A compliant layer pressed between the window and a rigid imprint.
+
+    Attributes
+    ----------
+    grid
+        The elements of the unloaded layer.
+    imprint
+        The rigid surface on the sample side; the window is the plane z = 0.
+    c10, c01
+        Mooney-Rivlin coefficients, kPa.
+    bulk_modulus
+        K, kPa.
+    friction
+        Coulomb coefficients at the window and at the sample side.
+    edges
+        ``free`` sides carry no stress; ``roller`` sides have no normal displacement.
+    slip_length
+        Slip, mm, over which friction builds up (the smoothing of Coulomb's law).
+    """
+
+    grid: LayerGrid
+    imprint: Imprint
+    c10: float
+    c01: float
+    bulk_modulus: float
+    friction: tuple[float, float]
+    edges: Literal["free", "roller"] = "free"
+    slip_length: float = 1e-3
+
+    @property
+    def shear_modulus(self) -> float:
+        """Initial shear modulus mu = 2 (C10 + C01), kPa."""
+        return 2 * (self.c10 + self.c01)
+
+    def on_grid(self, grid: LayerGrid, imprint: Imprint | None = None) -> LayerProblem:
+        """Return the same problem on another grid."""
+        return replace(self, grid=grid, imprint=imprint or self.imprint)
+
+
+@dataclass
+class LayerState:
+    """Displacement, pressure, contact and friction state at one load.
+
+    Attributes
+    ----------
+    load
+        Fraction of the full load, 0 to 1.
+    u
+        Displacement, (3, nz + 1, ny + 1, nx + 1), mm.
+    p
+        Element pressure, tension positive, (nz, ny, nx), kPa.
+    active
+        Contact at window and sample side, (2, ny + 1, nx + 1), bool.
+    slip
+        Friction memory w of both faces: slip / slip_length at ``anchor``; (2, 2, ny + 1, nx + 1).
+    anchor
+        Lateral displacement to which ``slip`` belongs, (2, 2, ny + 1, nx + 1), mm.
+    normal_force
+        Vertical contact forces, compression positive, (2, ny + 1, nx + 1), mN.
+    """
+
+    load: float
+    u: Array
+    p: Array
+    active: NDArray[np.bool_]
+    slip: Array
+    anchor: Array
+    normal_force: Array
+
+    @classmethod
+    def unloaded(cls, grid: LayerGrid) -> LayerState:
+        """Return the stress-free layer that just touches both rigid surfaces."""
+        surface = grid.node_shape[1:]
+        return cls(
+            load=0.0,
+            u=np.zeros((3, *grid.node_shape)),
+            p=np.zeros(grid.shape),
+            active=np.ones((2, *surface), bool),
+            slip=np.zeros((2, 2, *surface)),
+            anchor=np.zeros((2, 2, *surface)),
+            normal_force=np.zeros((2, *surface)),
+        )
+
+    def copy(self) -> LayerState:
+        """Return an independent copy."""
+        return LayerState(
+            self.load,
+            *(
+                getattr(self, name).copy()
+                for name in ("u", "p", "active", "slip", "anchor", "normal_force")
+            ),
+        )
