@@ -1,1 +1,1 @@
-
+"""What a stress map says: forces, resolution, contrast, comparison and uncertainty."""

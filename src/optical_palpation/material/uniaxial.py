@@ -1,0 +1,400 @@
+"""Uniaxial tests of the layer's material: reading, sign and unit conventions, contact point."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from optical_palpation.analysis.regression import parameter_covariance
+from optical_palpation.errors import InputError
+
+Measure = Literal["engineering", "true"]
+Loading = Literal["compression", "tension"]
+
+_STRAIN_UNITS = {"fraction": 1.0, "percent": 0.01, "pct": 0.01, "%": 0.01}
+_STRESS_UNITS = {"pa": 1e-3, "kpa": 1.0, "mpa": 1e3}
+_LENGTH_UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3}
+_FORCE_UNITS = {"mn": 1.0, "n": 1e3, "kn": 1e6}
+
+
+@dataclass(frozen=True)
+class UniaxialTest:
+    """One uniaxial test, sorted as recorded, signs as everywhere: tension positive.
+
+    Attributes
+    ----------
+    stretch
+        Loaded over unloaded height, ``(n,)``, below 1 in compression.
+    stress
+        Stress in kPa, ``(n,)``, negative in compression: force per undeformed area if `measure`
+        is ``"engineering"``, per deformed area (incompressible) if ``"true"``.
+    measure
+        The measure of `stress`. Fits are made in it: least squares in the other measure weighs the
+        points differently and gives other coefficients.
+    source
+        Where the data came from, for figures and messages.
+    """
+
+    stretch: NDArray[np.float64]
+    stress: NDArray[np.float64]
+    measure: Measure = "engineering"
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if self.measure not in ("engineering", "true"):
+            raise InputError(f"measure = {self.measure!r}: choose 'engineering' or 'true'")
+        stretch = np.asarray(self.stretch, dtype=np.float64)
+        stress = np.asarray(self.stress, dtype=np.float64)
+        if stretch.ndim != 1 or stretch.shape != stress.shape or stretch.size < 5:
+            raise InputError(
+                f"uniaxial test {self.source}: stretch {stretch.shape} and stress {stress.shape} "
+                "must be two columns of equal length, at least 5 points"
+            )
+        if not (np.isfinite(stretch).all() and np.isfinite(stress).all()):
+            raise InputError(f"uniaxial test {self.source}: stretch and stress must be finite")
+        if stretch.min() <= 0.0:
+            raise InputError(
+                f"uniaxial test {self.source}: strain reaches {stretch.min() - 1.0:g}, but -1 "
+                "leaves no height at all; is the strain in percent, or its sign reversed?"
+            )
+        object.__setattr__(self, "stretch", stretch)
+        object.__setattr__(self, "stress", stress)
+
+    @property
+    def strain(self) -> NDArray[np.float64]:
+        """Engineering strain, negative in compression."""
+        return self.stretch - 1.0
+
+    @property
+    def loading(self) -> Loading:
+        """Direction of the test."""
+        extreme = self.strain[np.argmax(np.abs(self.strain))]
+        return "compression" if extreme < 0.0 else "tension"
+
+    def between(self, lowest: float, highest: float = np.inf) -> UniaxialTest:
+        """Return the points whose strain lies between two magnitudes (engineering, inclusive).
+
+        Raises
+        ------
+        InputError
+            If fewer than 5 points are left.
+        """
+        magnitude = self.strain * (-1.0 if self.loading == "compression" else 1.0)
+        keep = (magnitude >= lowest) & (magnitude <= highest)
+        if keep.sum() < 5:
+            raise InputError(
+                f"uniaxial test {self.source}: {keep.sum()} points have a strain between "
+                f"{lowest:g} and {highest:g}, at least 5 are needed; the test spans "
+                f"{magnitude.min():g} to {magnitude.max():g}"
+            )
+        return replace(self, stretch=self.stretch[keep], stress=self.stress[keep])
+
+    def from_contact(self, strain: float, toe_end: float | None = None) -> UniaxialTest:
+        """Return the test counted from another point of contact, without what lies before it.
+
+        The specimen's height is the one at contact, so that moving the contact changes the height
+        as well as the origin: ``stretch / stretch_at_contact``. True stress was computed with the
+        wrong stretch and is corrected with it; engineering stress refers to the undeformed area
+        and stays.
+
+        Parameters
+        ----------
+        strain
+            Engineering strain at contact in the present counting, negative in compression.
+        toe_end
+            Strain in the present counting up to which points are dropped; `strain` by default.
+
+        Raises
+        ------
+        InputError
+            If a strain is impossible or fewer than 5 points are left.
+        """
+        end = strain if toe_end is None else toe_end
+        if not (-1.0 < strain < np.inf and -1.0 < end < np.inf):
+            raise InputError(f"strains at contact {strain:g} and toe end {end:g} must be above -1")
+        factor = 1.0 + strain
+        keep = self.strain <= end if self.loading == "compression" else self.strain >= end
+        if keep.sum() < 5:
+            raise InputError(
+                f"uniaxial test {self.source}: {keep.sum()} points lie beyond a strain of {end:g}, "
+                "at least 5 are needed; give the contact and the end of the toe by hand"
+            )
+        stress = self.stress / factor if self.measure == "true" else self.stress
+        return replace(self, stretch=self.stretch[keep] / factor, stress=stress[keep])
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Point of contact of a test and the end of its toe, engineering strains as recorded.
+
+    Attributes
+    ----------
+    strain
+        Strain at which full contact would have begun had there been no toe.
+    standard_error
+        Of `strain`.
+    toe_end
+        Strain beyond which the toe no longer shows (under 0.5 % of the strain since contact).
+    """
+
+    strain: float
+    standard_error: float
+    toe_end: float
+
+
+def find_contact(test: UniaxialTest, within: float = 0.15) -> Contact:
+    """Find where the platen really met the specimen.
+
+    A rough or slightly tilted face comes into contact little by little: stress starts as a curved
+    toe. The model is a neo-Hookean solid of unknown modulus, strained by
+    ``w log(1 + exp((strain - contact) / w))``: nothing before contact, the full strain after it
+    and a smooth toe of width ``w`` between. Modulus, contact and width are fitted together, to
+    the points up to `within` past the contact, where every rubber is close to neo-Hookean.
+
+    Parameters
+    ----------
+    test
+        The test as recorded.
+    within
+        Strain past contact that the fit may use, positive.
+
+    Raises
+    ------
+    InputError
+        If the test holds too few points to find a contact, or does not load the specimen.
+    """
+    sign = -1.0 if test.loading == "compression" else 1.0
+    strain = sign * test.strain
+    stress = test.stress / test.stretch if test.measure == "true" else test.stress
+    load = sign * stress
+    if load[np.argmax(strain)] <= 0.0:
+        raise InputError(f"uniaxial test {test.source}: no load at the largest strain; check signs")
+
+    def predict(p: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
+        contact, log_width, modulus = p
+        width = np.exp(log_width)
+        since = width * np.logaddexp(0.0, (x - contact) / width)
+        stretch = np.maximum(1.0 + sign * since / (1.0 + sign * contact), 1e-3)
+        return np.asarray(sign * modulus / 3.0 * (stretch - stretch**-2))
+
+    start = float(np.interp(0.02 * load.max(), np.maximum.accumulate(load), strain))
+    last = start
+    used = np.zeros(strain.size, dtype=bool)
+    for _ in range(10):  # the range follows the contact; it settles in two or three rounds
+        selected = strain <= last + within
+        if np.array_equal(selected, used):
+            break
+        used = selected
+        if used.sum() < 8:
+            raise InputError(
+                f"uniaxial test {test.source}: only {used.sum()} points up to a strain of "
+                f"{last + within:g}; 8 are needed to find the contact. Widen `within`, or give the "
+                "contact by hand"
+            )
+        x, y = strain[used], load[used]
+        modulus = max((y[-1] - y[0]) / max(x[-1] - start, 1e-6), 1e-6)
+
+        def residual(
+            p: NDArray[np.float64],
+            x: NDArray[np.float64] = x,
+            y: NDArray[np.float64] = y,
+        ) -> NDArray[np.float64]:
+            return predict(p, x) - y
+
+        fits = [
+            least_squares(
+                residual,
+                [start, np.log(width), modulus],
+                bounds=(
+                    [-within, np.log(1e-5), 0.0],
+                    [min(strain.max(), 0.9), np.log(0.1), np.inf],
+                ),
+                x_scale=[0.01, 1.0, modulus],
+            )
+            for width in (0.002, 0.01, 0.03)
+        ]
+        fit = min(fits, key=lambda result: float(result.cost))
+        last = float(fit.x[0])
+    covariance, _ = parameter_covariance(fit.fun, np.asarray(fit.jac))
+    width = float(np.exp(fit.x[1]))
+    return Contact(
+        strain=sign * last,
+        standard_error=float(np.sqrt(covariance[0, 0])),
+        # log(1 + exp(4)) / 4 = 1.0045
+        toe_end=sign * (last + 4.0 * width),
+    )
+
+
+def read_uniaxial_test(
+    path: str | Path,
+    *,
+    strain: str | None = None,
+    stress: str | None = None,
+    measure: Measure | None = None,
+    loading: Loading | None = None,
+    height: float | None = None,
+    area: float | None = None,
+) -> UniaxialTest:
+    """Read a uniaxial test from a table (CSV; comma, semicolon or tab).
+
+    Columns are found by name: *strain* and *stress*, or else *displacement* (compression,
+    extension) with `height` and *force* (load) with `area`. Names carry measure (*engineering* or
+    *nominal*, *true* or *cauchy*; engineering where nothing is said) and unit (percent; Pa, kPa,
+    MPa; um, mm, m; mN, N, kN), which without a unit is the fraction, kPa, mm or N. Either sign
+    convention is taken: strain and stress of opposite signs mean compression, and so do two
+    negative ones; two positive ones are decided by *compression* or *tension* in a name, or by
+    `loading`. Rows after the largest strain (unloading) are dropped.
+
+    Parameters
+    ----------
+    path
+        The file.
+    strain, stress
+        Names of the columns, if the automatic choice is wrong. They may also name the
+        displacement and the force.
+    measure
+        Measure of both columns where the table holds several or its names say nothing.
+    loading
+        Direction of the test where signs and names leave it open.
+    height, area
+        Unloaded height in mm and area in mm2, for tables of displacement and force.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, columns are missing or ambiguous, or numbers are impossible.
+    """
+    path = Path(path)
+    table = _read_table(path)
+    strain_name = strain or _find(table, path, measure, "strain", "displacement compression")
+    stress_name = stress or _find(table, path, measure, "stress", "force load")
+    x, y = (_numbers(table, name, path) for name in (strain_name, stress_name))
+
+    strain_measure = _measure_of(strain_name)
+    found = measure or _measure_of(stress_name) or strain_measure or "engineering"
+    if strain_measure is not None and strain_measure != found:
+        raise InputError(
+            f"{path}: strain column {strain_name!r} and stress column {stress_name!r} are of "
+            "different measures; name two columns of the same one"
+        )
+    if "strain" in _words(strain_name):
+        x = x * _unit(strain_name, _STRAIN_UNITS, "fraction")
+    else:
+        if height is None or not height > 0.0:
+            raise InputError(
+                f"{path}: column {strain_name!r} is a displacement; give the specimen's unloaded "
+                f"height in mm (height = {height})"
+            )
+        x = x * _unit(strain_name, _LENGTH_UNITS, "mm") / height
+    if "stress" in _words(stress_name):
+        y = y * _unit(stress_name, _STRESS_UNITS, "kpa")
+    else:
+        if area is None or not area > 0.0:
+            raise InputError(
+                f"{path}: column {stress_name!r} is a force; give the specimen's unloaded area in "
+                f"mm2 (area = {area})"
+            )
+        y = y * _unit(stress_name, _FORCE_UNITS, "n") / area
+        found = "engineering"
+
+    end = int(np.argmax(np.abs(x)))
+    x, y = x[: end + 1], y[: end + 1]
+    sign = _direction(x, y, f"{strain_name} {stress_name}", loading, path)
+    x = sign * np.sign(x[-1]) * x
+    y = sign * np.sign(y[-1]) * y
+    true_strain = found == "true" and "strain" in _words(strain_name)
+    return UniaxialTest(np.exp(x) if true_strain else 1.0 + x, y, found, path.name)
+
+
+def _read_table(path: Path) -> pd.DataFrame:
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            head = file.readline()
+        separator = max(",;\t", key=head.count)
+        table = pd.read_csv(path, sep=separator, comment="#", encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        raise InputError(f"{path}: cannot be read as a table ({error})") from None
+    table.columns = pd.Index([str(name).strip() for name in table.columns])
+    return table
+
+
+def _words(name: str) -> set[str]:
+    return set(re.split(r"[^a-zµ%]+", name.lower()))
+
+
+def _measure_of(name: str) -> Measure | None:
+    words = _words(name)
+    if words & {"true", "cauchy", "logarithmic"}:
+        return "true"
+    return "engineering" if words & {"engineering", "nominal"} else None
+
+
+def _find(
+    table: pd.DataFrame, path: Path, measure: Measure | None, first: str, otherwise: str
+) -> str:
+    names = [str(name) for name in table.columns]
+    usable = [name for name in names if not _words(name) & {"sd", "std", "error", "sem"}]
+    for wanted in (first, otherwise):
+        found = [name for name in usable if _words(name) & set(wanted.split())]
+        of_measure = [
+            name for name in found if _measure_of(name) in (measure or "engineering", None)
+        ]
+        if len(of_measure) == 1:
+            return of_measure[0]
+        if len(of_measure) > 1:
+            raise InputError(
+                f"{path}: several columns could be the {first}: {', '.join(of_measure)}; name one"
+            )
+    raise InputError(
+        f"{path}: no column for the {first} (or {otherwise.replace(' ', ' or ')}"
+        f"{f', {measure} measure' if measure else ''}); the table has: {', '.join(names)}"
+    )
+
+
+def _numbers(table: pd.DataFrame, name: str, path: Path) -> NDArray[np.float64]:
+    if name not in table.columns:
+        raise InputError(f"{path}: no column {name!r}; the table has: {', '.join(table.columns)}")
+    column = pd.to_numeric(table[name], errors="coerce").to_numpy(np.float64)
+    if not np.isfinite(column).all():
+        row = int(np.argmin(np.isfinite(column)))
+        raise InputError(
+            f"{path}: column {name!r}, data row {row + 1} holds {table[name].iloc[row]!r}, "
+            "not a number"
+        )
+    if column.size < 5:
+        raise InputError(f"{path}: {column.size} rows, at least 5 are needed")
+    return column
+
+
+def _unit(name: str, units: dict[str, float], default: str) -> float:
+    return next((units[word] for word in units if word in _words(name)), units[default])
+
+
+def _direction(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    names: str,
+    loading: Loading | None,
+    path: Path,
+) -> float:
+    if loading is None:
+        if x[-1] < 0.0 or y[-1] < 0.0:
+            loading = "compression"
+        else:
+            words = _words(names)
+            said = {word for word in ("compression", "compressive", "tension") if word in words}
+            if not said:
+                raise InputError(
+                    f"{path}: strain and stress are both positive, which may be a tension test or "
+                    "a compression test counted positive; say which (loading = 'compression' or "
+                    "'tension')"
+                )
+            loading = "tension" if said == {"tension"} else "compression"
+    return -1.0 if loading == "compression" else 1.0
