@@ -228,7 +228,7 @@ def test_profiles_run_through_the_centre(tmp_path):
 @given(nx=st.integers(1, 9), ny=st.integers(1, 9))
 def test_centre_is_at_most_half_a_pixel_away(nx, ny):
     maps = xr.Dataset(
-        {"axial_stress": (("y", "x"), np.zeros((ny, nx)))},
+        {"loaded_thickness": (("y", "x"), np.zeros((ny, nx)))},
         coords={"y": np.arange(ny) * 0.1, "x": np.arange(nx) * 0.3},
     )
     along_x, along_y = centre_profiles(maps)
@@ -254,11 +254,27 @@ def test_panel_is_drawn(tmp_path, build, suffix):
 def test_both_methods_share_one_colour_scale():
     from optical_palpation.present.panel import _draw
 
-    images = {a.get_title(): a.images[0] for a in _draw(example()).axes if a.images}
-    limits = {i.get_clim() for title, i in images.items() if "stress" in title}
-    assert len(limits) == 1
-    extent = images["Loaded thickness (mm)"].get_extent()
-    np.testing.assert_allclose(extent, [-0.25, 5.25, -1.25, 3.25])
+    shown = {a.get_title(): a for a in _draw(example()).axes if a.collections}
+    stress = [a.collections[0] for title, a in shown.items() if "stress" in title]
+    assert len(stress) == 2
+    assert stress[0].get_clim() == stress[1].get_clim()
+    axes = shown["Loaded thickness (mm)"]
+    assert axes.get_aspect() == 1
+    # Pixels are areas around their centres.
+    np.testing.assert_allclose([*axes.get_xlim(), *axes.get_ylim()], [-0.25, 5.25, -1.25, 3.25])
+
+
+def test_only_the_layer_is_shown_of_a_map_that_reaches_beyond_it():
+    from optical_palpation.present.panel import _draw
+
+    result = example()
+    result.maps["loaded_thickness"].attrs["layer_extent"] = [1.0, 5.0, -1.0, 2.0]
+    axes = next(a for a in _draw(result).axes if "Loaded" in a.get_title())
+    np.testing.assert_allclose([*axes.get_xlim(), *axes.get_ylim()], [0.75, 5.25, -1.25, 2.25])
+    along_x, along_y = centre_profiles(result.maps)
+    assert float(along_y["x"]) == 3.0
+    assert float(along_x["y"]) == 0.5
+    assert along_x["x"].values[0] == 1.0
 
 
 def test_summary_tells_forces_stress_and_contact():

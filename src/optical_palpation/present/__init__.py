@@ -1,6 +1,7 @@
 """Results out: NetCDF, picture, ParaView file, profiles and a summary in words."""
 
 from optical_palpation.present.netcdf import read_result, write_result
+from optical_palpation.present.output import check_outputs
 from optical_palpation.present.panel import write_panel
 from optical_palpation.present.profiles import centre_profiles, write_profiles
 from optical_palpation.present.summary import summarise
@@ -8,6 +9,7 @@ from optical_palpation.present.vtk import write_vtk
 
 __all__ = [
     "centre_profiles",
+    "check_outputs",
     "read_result",
     "summarise",
     "write_panel",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -60,6 +60,29 @@ def check_writable(path: str | Path, kind: str) -> Path:
         reason = error.strerror or error
         raise OutputError(f"{path}: cannot be written ({reason}); choose another place") from error
     return path
+
+
+def check_outputs(outputs: Mapping[str, Path], inputs: Sequence[Path] = ()) -> None:
+    """Raise :class:`OutputError` now if the files could not all be written later.
+
+    Parameters
+    ----------
+    outputs
+        Intended files by kind (``result``, ``picture``, ``ParaView file``, ``profiles``, ``deck``).
+    inputs
+        Files that must not be overwritten.
+
+    Raises
+    ------
+    OutputError
+        As :func:`check_writable`; or the same file is given twice.
+    """
+    taken = {path.resolve() for path in inputs}
+    for kind, path in outputs.items():
+        check_writable(path, kind)
+        if path.resolve() in taken:
+            raise OutputError(f"{path}: is also an input or another output; choose another name")
+        taken.add(path.resolve())
 
 
 @contextmanager

@@ -10,10 +10,11 @@ import xarray as xr
 
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic, provenance
-from optical_palpation.present.profiles import centre_profiles
+from optical_palpation.present.profiles import centre_profiles, on_layer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
 
 # Okabe and Ito's palette, told apart by all kinds of colour vision.
@@ -52,81 +53,67 @@ def _draw(result: StressResult) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    maps = result.maps
-    algebraic = maps["axial_stress"]
-    computational = None
-    if "contact_pressure" in maps:  # the algebraic method alone has none
-        algebraic, computational = maps["algebraic_axial_stress"], maps["axial_stress"]
-    both = np.concatenate([m.values.ravel() for m in (algebraic, computational) if m is not None])
+    maps = on_layer(result.maps)
+    computational = "contact_pressure" in maps  # the algebraic method alone has none
+    algebraic = "algebraic_axial_stress" if computational else "axial_stress"
+    both = np.stack([maps[algebraic].values, maps["axial_stress"].values])
     low, high = np.nanpercentile(both, [1, 99])
     stress = {"cmap": _STRESS_MAP, "vmin": low, "vmax": high}
 
-    figure = Figure(figsize=(13.5, 8), layout="constrained")
+    figure = Figure(figsize=(13.5, 8.2), layout="constrained")
     FigureCanvasAgg(figure)
-    (top_left, top_middle, top_right), (left, middle, right) = figure.subplots(2, 3)
-    thickness = maps["loaded_thickness"]
-    _show(figure, top_left, thickness, "Loaded thickness (mm)", cmap=_THICKNESS_MAP)
-    _show(figure, top_middle, algebraic, "Axial stress, algebraic (kPa)", **stress)
-    if computational is not None:
-        _show(figure, top_right, computational, "Axial stress, computational (kPa)", **stress)
-    else:
-        top_right.set_axis_off()
-    _show_contact(figure, left, maps["contact_state"])
-    for axes, axis, profile in zip((middle, right), "xy", centre_profiles(maps), strict=True):
-        _plot_profile(axes, axis, profile, algebraic.name, computational is not None)
-    low, high = middle.get_ylim()
-    low, high = min(low, right.get_ylim()[0]), max(high, right.get_ylim()[1])
-    middle.set_ylim(low, high)
-    right.set_ylim(low, high)
+    axes = figure.subplot_mosaic([list("TTAACC"), list("SSXXYY" if computational else "XXXYYY")])
+    _show(figure, axes["T"], maps["loaded_thickness"], "Loaded thickness (mm)", cmap=_THICKNESS_MAP)
+    _show(figure, axes["A"], maps[algebraic], "Axial stress, algebraic (kPa)", **stress)
+    if computational:
+        title = "Axial stress, computational (kPa)"
+        _show(figure, axes["C"], maps["axial_stress"], title, **stress)
+    _show_contact(axes["S" if computational else "C"], maps["contact_state"])
+    axes["Y"].sharey(axes["X"])
+    for axis, profile in zip("xy", centre_profiles(maps), strict=True):
+        _plot_profile(axes[axis.upper()], axis, profile, algebraic, computational)
     figure.suptitle(_title(maps))
     return figure
 
 
-def _extent(field: xr.DataArray) -> tuple[float, float, float, float]:
-    """Return the outer borders of the first and last pixels: pixels are areas, not points."""
-    x, y = field["x"].values, field["y"].values
-    dx, dy = (x[-1] - x[0]) / (x.size - 1) / 2, (y[-1] - y[0]) / (y.size - 1) / 2
-    return x[0] - dx, x[-1] + dx, y[0] - dy, y[-1] + dy
-
-
 def _show(figure: Figure, axes: Axes, field: xr.DataArray, title: str, **colours: Any) -> None:
-    image = axes.imshow(
-        field.transpose("y", "x").values,
-        origin="lower",
-        extent=_extent(field),
-        interpolation="nearest",
-        **colours,
-    )
-    extend = "both" if "vmin" in colours else "neither"
-    figure.colorbar(image, ax=axes, shrink=0.85, extend=extend)
-    axes.set(title=title, xlabel="x (mm)", ylabel="y (mm)")
+    image = _draw_map(axes, field, title, **colours)
+    figure.colorbar(image, ax=axes, shrink=0.85, extend="both" if "vmin" in colours else "neither")
 
 
-def _show_contact(figure: Figure, axes: Axes, state: xr.DataArray) -> None:
+def _show_contact(axes: Axes, state: xr.DataArray) -> None:
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
 
-    values = state.transpose("y", "x").values
-    axes.imshow(
-        values,
-        origin="lower",
-        extent=_extent(state),
-        interpolation="nearest",
-        cmap=ListedColormap(list(_STATE_COLOURS.values())),
-        vmin=-0.5,
-        vmax=len(ContactState) - 0.5,
-    )
-    axes.set(title="Contact with the sample", xlabel="x (mm)", ylabel="y (mm)")
+    colours = ListedColormap(list(_STATE_COLOURS.values()))
+    _draw_map(axes, state, "Contact with the sample", cmap=colours, vmin=-0.5, vmax=2.5)
     handles = [
         Patch(facecolor=colour, edgecolor="black", label=f"{s.name.lower()} {share:.1%}")
         for s, colour in _STATE_COLOURS.items()
-        if (share := float(np.mean(values == s))) > 0
+        if (share := float(np.mean(state.values == s))) > 0
     ]
-    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.02, 1), frameon=False)
+    axes.legend(
+        handles=handles,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.16),
+        ncols=3,
+        frameon=False,
+        columnspacing=1,
+        handlelength=1.2,
+    )
+
+
+def _draw_map(axes: Axes, field: xr.DataArray, title: str, **colours: Any) -> QuadMesh:
+    values = field.transpose("y", "x").values
+    mesh = axes.pcolormesh(
+        field["x"], field["y"], values, shading="nearest", rasterized=True, **colours
+    )
+    axes.set(title=title, xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
+    return mesh
 
 
 def _plot_profile(
-    axes: Axes, axis: str, profile: xr.Dataset, algebraic: Any, computational: bool
+    axes: Axes, axis: str, profile: xr.Dataset, algebraic: str, computational: bool
 ) -> None:
     across = "y" if axis == "x" else "x"
     axes.plot(profile[axis], profile[algebraic], color=_ALGEBRAIC, lw=1.2, label="algebraic")

@@ -25,8 +25,19 @@ _COLUMNS = {
 }
 
 
+def on_layer(maps: xr.Dataset) -> xr.Dataset:
+    """Return the part of the maps that the layer covers; maps may reach beyond it."""
+    extent = maps["loaded_thickness"].attrs.get("layer_extent")
+    if extent is None:
+        return maps
+    x0, x1, y0, y1 = extent
+    slack = 1e-9 * max(x1 - x0, y1 - y0)
+    return maps.sel(x=slice(x0 - slack, x1 + slack), y=slice(y0 - slack, y1 + slack))
+
+
 def centre_profiles(maps: xr.Dataset) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the row of the maps nearest the centre (along x) and the column (along y)."""
+    """Return the row of the maps nearest the layer's centre (along x) and the column (along y)."""
+    maps = on_layer(maps)
     x, y = maps["x"].values, maps["y"].values
     along_x = maps.sel(y=(y[0] + y[-1]) / 2, method="nearest")
     along_y = maps.sel(x=(x[0] + x[-1]) / 2, method="nearest")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.present.profiles import on_layer
 
 
 def summarise(result: StressResult) -> str:
@@ -14,26 +15,30 @@ def summarise(result: StressResult) -> str:
     the 99th percentile of compression beside it tells whether it stands alone), and the shares
     of the map that are in contact.
     """
-    maps = result.maps
+    maps = on_layer(result.maps)
     stress = maps["axial_stress"].values
     lines = []
     forces = [
-        f"{side} {float(maps.attrs[key]):.1f} mN"
+        f"{side} {maps.attrs[key]:.1f} mN"
         for side in ("window", "sample")
         if (key := f"{side}_force_mN") in maps.attrs
     ]
     if forces:
         lines.append("total force: " + ", ".join(forces))
-    strongest, percentile = np.nanmin(stress), np.nanpercentile(stress, 1)
     lines.append(
         f"axial stress: mean {np.nanmean(stress):.3f} kPa, 99 % of the map above "
-        f"{percentile:.3f} kPa, most compressed {strongest:.3f} kPa"
+        f"{np.nanpercentile(stress, 1):.3f} kPa, most compressed {np.nanmin(stress):.3f} kPa"
     )
     state = maps["contact_state"].values
-    shares = ", ".join(
+    shares = [
         f"{kind.name.lower()} {np.mean(state == kind):.1%}"
         for kind in reversed(ContactState)
         if np.any(state == kind)
-    )
-    lines.append(f"contact with the sample: {shares}")
+    ]
+    lines.append("contact with the sample: " + ", ".join(shares))
+    if "filled_share" in maps.attrs:
+        lines.append(
+            f"filled pixels: {maps.attrs['filled_share']:.2%} (missing "
+            f"{maps.attrs['missing_share']:.2%}, spikes {maps.attrs['spike_share']:.2%})"
+        )
     return "\n".join(lines)

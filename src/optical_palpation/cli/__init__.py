@@ -1,0 +1,40 @@
+"""The command line: parse, call the Python interface, show progress; it computes nothing.
+
+Exit status: 0 done, 2 something the user supplied cannot be used (nothing was written), 3 the
+mechanical solution did not reach the full load.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from optical_palpation.cli.demo import demo
+from optical_palpation.cli.stress import StressCommand, stress
+from optical_palpation.errors import ConvergenceError, OpticalPalpationError
+
+app = typer.Typer(
+    name="optical-palpation",
+    help="Tactile stress maps from the thickness of a compliant layer imaged by OCT.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command(cls=StressCommand)(stress)
+app.command()(demo)
+
+
+@app.callback()
+def _about() -> None:
+    """Tactile stress maps from the thickness of a compliant layer imaged by OCT."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and leave with its exit status."""
+    try:
+        app(None if arguments is None else list(arguments))
+    except OpticalPalpationError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(3 if isinstance(error, ConvergenceError) else 2)

@@ -1,0 +1,92 @@
+"""Live progress of a computation: a bar on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:
+    from optical_palpation.palpation import Progress as Report
+
+_LOAD_STEP = 0.1
+_SILENCE = 10.0
+
+
+class ProgressDisplay:
+    """Shows what it is called with; use as a context manager and pass as ``progress=``.
+
+    On a terminal one line is kept up to date. Elsewhere (a log file, a pipe) a line is printed
+    when the stage changes, at every tenth of the load, and at least every ten seconds of reports.
+    """
+
+    def __init__(self, quiet: bool = False, console: Console | None = None) -> None:
+        self._console = console or Console(stderr=True, quiet=quiet, highlight=False)
+        self._started = self._last_time = time.monotonic()
+        self._last: tuple[str, float] = ("", -1.0)
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("load {task.completed:4.0%}, {task.fields[newton]} Newton iterations"),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[left]}"),
+            console=self._console,
+            transient=True,
+            disable=quiet or not self._console.is_terminal,
+        )
+        self._task = self._bar.add_task("starting", total=1.0, newton=0, left="")
+
+    def __enter__(self) -> ProgressDisplay:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    def __call__(self, report: Report) -> None:
+        """Show one report."""
+        description = f"{report.stage}: {report.message}" if report.message else report.stage
+        left = self._time_left(report.load)
+        if self._console.is_terminal:
+            self._bar.update(
+                self._task,
+                description=description,
+                completed=report.load,
+                newton=report.newton,
+                left=left,
+            )
+            return
+        now = time.monotonic()
+        stage, load = self._last
+        finished = report.load >= 1 > load
+        if (
+            report.stage == stage
+            and report.load < load + _LOAD_STEP
+            and not finished
+            and now < self._last_time + _SILENCE
+        ):
+            return
+        self._last, self._last_time = (report.stage, report.load), now
+        self._console.print(
+            f"{description}: load {report.load:.0%}, {report.newton} Newton iterations, "
+            f"{now - self._started:.0f} s" + (f", {left}" if left else ""),
+            soft_wrap=True,
+            markup=False,
+        )
+
+    def _time_left(self, load: float) -> str:
+        """Return the time left if every part of the load took as long as those so far."""
+        if not 0 < load < 1:
+            return ""
+        seconds = (time.monotonic() - self._started) * (1 - load) / load
+        return (
+            f"about {seconds:.0f} s left" if seconds < 100 else f"about {seconds / 60:.0f} min left"
+        )

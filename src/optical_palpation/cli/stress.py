@@ -1,0 +1,243 @@
+"""``optical-palpation stress``: from a map of the loaded thickness to maps of tactile stress."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from optical_palpation.cli.progress import ProgressDisplay
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from optical_palpation.material import MooneyRivlin
+    from optical_palpation.palpation.result import StressResult
+
+
+class Method(StrEnum):
+    """How stress is computed."""
+
+    ALGEBRAIC = "algebraic"
+    COMPUTATIONAL = "computational"
+
+
+class Edges(StrEnum):
+    """What the layer does at the borders of the field of view."""
+
+    FREE = "free"
+    ROLLER = "roller"
+    PADDED = "padded"
+
+
+class StressCommand(TyperCommand):
+    """Lets ``--element-size`` take one value or three, which option parsers cannot express."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Join the numbers that follow ``--element-size`` with commas, then parse as usual."""
+        joined: list[str] = []
+        for argument in args:
+            if joined and joined[-1].startswith("--element-size") and _is_number(argument):
+                separator = "," if "=" in joined[-1] else "="
+                joined[-1] += separator + argument
+            else:
+                joined.append(argument)
+        return super().parse_args(ctx, joined)
+
+
+def stress(
+    map: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MAP",
+            help="Loaded thickness: .mat, .npy, .npz, .csv, .txt, .tif or .nc.",
+            show_default=False,
+        ),
+    ],
+    initial_thickness: Annotated[
+        str,
+        typer.Option(
+            metavar="NUMBER|MAP", help="Unloaded thickness: mm, or a map like the first one."
+        ),
+    ],
+    c10: Annotated[float, typer.Option(help="Mooney-Rivlin C10, kPa.")],
+    output: Annotated[Path, typer.Option(help="Result, NetCDF (.nc).")],
+    c01: Annotated[float, typer.Option(help="Mooney-Rivlin C01, kPa; 0 is neo-Hookean.")] = 0.0,
+    bulk_to_shear: Annotated[float, typer.Option(help="Bulk over shear modulus.")] = 1e4,
+    method: Annotated[Method, typer.Option(help="How to compute stress.")] = Method.COMPUTATIONAL,
+    window_friction: Annotated[
+        float | None, typer.Option(help="Friction coefficient between window and layer.")
+    ] = None,
+    sample_friction: Annotated[
+        float | None, typer.Option(help="Friction coefficient between layer and sample.")
+    ] = None,
+    element_size: Annotated[
+        str | None,
+        typer.Option(metavar="SIZE | X Y Z", help="Size of the elements, mm: one value or three."),
+    ] = None,
+    edges: Annotated[Edges, typer.Option(help="Sides of the layer.")] = Edges.FREE,
+    imprint_smoothing: Annotated[
+        float | None,
+        typer.Option(help="Smoothing of the imprint, mm; a small default is reported."),
+    ] = None,
+    variable: Annotated[
+        str | None, typer.Option(help="Variable of the map, where a file has several.")
+    ] = None,
+    initial_variable: Annotated[
+        str | None, typer.Option(help="Variable of the map of the unloaded thickness.")
+    ] = None,
+    length_unit: Annotated[
+        str | None, typer.Option(help="Unit of the thickness in the file: mm or um.")
+    ] = None,
+    field_of_view: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="X Y", help="Size of the map, mm.")
+    ] = None,
+    pixel_spacing: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="X Y", help="Size of a pixel, mm.")
+    ] = None,
+    layer_extent: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(
+            metavar="X0 X1 Y0 Y1",
+            help="Part of the map's own coordinates that the layer covers, mm.",
+        ),
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Also draw a picture (.png, .pdf).")] = None,
+    vtk: Annotated[
+        Path | None, typer.Option(help="Also write the layer for ParaView (.vts).")
+    ] = None,
+    profiles: Annotated[
+        Path | None, typer.Option(help="Also write the profiles through the centre (.csv).")
+    ] = None,
+    deck: Annotated[
+        Path | None, typer.Option(help="Also write the problem for Abaqus or CalculiX (.inp).")
+    ] = None,
+    threads: Annotated[int | None, typer.Option(help="Number of threads.", min=1)] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> None:
+    """Compute the tactile stress behind a map of the loaded thickness of the layer."""
+    needed = {
+        "--window-friction": window_friction,
+        "--sample-friction": sample_friction,
+        "--element-size": element_size,
+    }
+    layer_outputs = {"--vtk": vtk, "--deck": deck}
+    if method is Method.COMPUTATIONAL:
+        if absent := [name for name, value in needed.items() if value is None]:
+            raise typer.BadParameter(f"the computational method also needs {', '.join(absent)}")
+    elif asked := [name for name, path in layer_outputs.items() if path]:
+        raise typer.BadParameter(f"the algebraic method has no layer to write: {', '.join(asked)}")
+    sizes = _element_size(element_size)
+
+    from optical_palpation import present, thickness
+    from optical_palpation.material import MooneyRivlin
+
+    thickness_is_map = not _is_number(initial_thickness)
+    inputs = [map, Path(initial_thickness)] if thickness_is_map else [map]
+    outputs = {"result": output, "picture": plot, "ParaView file": vtk}
+    outputs |= {"profiles": profiles, "deck": deck}
+    wanted = {kind: path for kind, path in outputs.items() if path is not None}
+    present.check_outputs(wanted, inputs)
+
+    def read(path: Path, variable: str | None, **layer: Any) -> xr.Dataset:
+        return thickness.clean_thickness(
+            thickness.read_thickness_map(
+                path,
+                variable=variable,
+                length_unit=length_unit,
+                field_of_view=field_of_view,
+                pixel_spacing=pixel_spacing,
+                **layer,
+            )
+        )
+
+    material = MooneyRivlin(c10, c01, bulk_to_shear)
+    cleaned = read(map, variable, layer_extent=layer_extent)
+    loaded = cleaned["thickness"]
+    initial: Any = initial_thickness
+    if thickness_is_map:
+        initial = read(Path(initial_thickness), initial_variable)["thickness"]
+
+    if method is Method.ALGEBRAIC:
+        result = _algebraic_result(loaded, initial, material)
+    else:
+        from optical_palpation.palpation import computational_stress
+
+        with ProgressDisplay(quiet) as progress:
+            result = computational_stress(
+                loaded,
+                initial,
+                material,
+                window_friction=window_friction,
+                sample_friction=sample_friction,
+                element_size=sizes,
+                edges=edges.value,
+                imprint_smoothing=imprint_smoothing,
+                threads=threads,
+                progress=progress,
+            )
+    result.maps["filled"] = cleaned["filled"]
+    result.maps.attrs |= cleaned.attrs
+
+    writers = {
+        "result": present.write_result,
+        "picture": present.write_panel,
+        "ParaView file": present.write_vtk,
+        "profiles": present.write_profiles,
+    }
+    for kind, path in wanted.items():
+        writers[kind](result, path)
+    if not quiet:
+        print(present.summarise(result))
+        for kind, path in wanted.items():
+            print(f"{kind}: {path}")
+
+
+def _algebraic_result(loaded: xr.DataArray, initial: Any, material: MooneyRivlin) -> StressResult:
+    import numpy as np
+    import xarray as xr
+
+    from optical_palpation.palpation.algebraic import algebraic_stress
+    from optical_palpation.palpation.result import ContactState, StressResult
+
+    stress = algebraic_stress(loaded, initial, material)
+    # The uniaxial test of each pixel knows no friction: what touches slips.
+    state = np.where(stress < 0, ContactState.SLIP, ContactState.OPEN)
+    return StressResult(
+        xr.Dataset(
+            {
+                "axial_stress": stress,
+                "algebraic_axial_stress": stress,
+                "contact_state": (("y", "x"), state.astype(np.int8)),
+                "loaded_thickness": loaded,
+            },
+            attrs={
+                "method": "algebraic",
+                "c10_kPa": material.c10,
+                "c01_kPa": material.c01,
+            },
+        )
+    )
+
+
+def _element_size(text: str | None) -> float | tuple[float, ...] | None:
+    if text is None:
+        return None
+    parts = text.split(",")
+    if len(parts) not in (1, 3) or not all(map(_is_number, parts)):
+        raise typer.BadParameter(
+            f"--element-size takes one number of mm, or three for x, y, z; found {text!r}"
+        )
+    sizes = tuple(float(part) for part in parts)
+    return sizes if len(sizes) == 3 else sizes[0]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
