@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -135,25 +135,59 @@ def _read_matlab_73(path: Path) -> dict[str, Variable]:
 
 
 def _read_netcdf_4(path: Path) -> dict[str, Variable]:
-    return _read_with_xarray(path, "h5netcdf", phony_dims="sort")
+    # Not through h5netcdf, which leaves damaged files open and prints tracebacks about them.
+    import h5py
+
+    variables = {}
+    with h5py.File(path, "r") as file:
+        for name, item in file.items():
+            if not isinstance(item, h5py.Dataset):
+                continue
+            attrs = {key: _plain(item.attrs[key]) for key in item.attrs if key not in _HDF5_ATTRS}
+            if "This is a netCDF dimension but not a netCDF variable" in str(
+                _plain(item.attrs.get("NAME", ""))
+            ):
+                continue
+            if item.is_scale:
+                dims = [name]
+            else:
+                dims = [
+                    scales[0].name.lstrip("/") if len(scales) else f"dim_{axis}"
+                    for axis, scales in enumerate(item.dims)
+                ]
+            variables[name] = _decoded(name, dims, item[()], attrs)
+    return variables
+
+
+_HDF5_ATTRS = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST"}
 
 
 def _read_netcdf_3(path: Path) -> dict[str, Variable]:
-    return _read_with_xarray(path, "scipy")
-
-
-def _read_with_xarray(path: Path, engine: str, **options: str) -> dict[str, Variable]:
     import xarray as xr
 
-    with xr.open_dataset(path, engine=engine, decode_times=False, **options) as dataset:  # type: ignore[arg-type]
+    with xr.open_dataset(path, engine="scipy", decode_times=False) as dataset:
         return {
             str(name): Variable(
-                np.asarray(variable.values),
-                tuple(str(dim) for dim in variable.dims),
-                variable.attrs,
+                np.asarray(variable.values), tuple(map(str, variable.dims)), variable.attrs
             )
             for name, variable in dataset.variables.items()
         }
+
+
+def _decoded(name: str, dims: Sequence[str], values: NDArray, attrs: dict[str, object]) -> Variable:
+    """Apply the conventions for missing values, scale and offset."""
+    import xarray as xr
+
+    raw = xr.Variable(dims, values, attrs)
+    decoded = xr.conventions.decode_cf_variable(name, raw, decode_times=False)
+    return Variable(np.asarray(decoded.values), tuple(map(str, decoded.dims)), decoded.attrs)
+
+
+def _plain(value: object) -> object:
+    """Text for bytes, a scalar for an array of one number."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.ravel()[0]
+    return value.decode() if isinstance(value, bytes) else value
 
 
 def _read_npy(path: Path) -> dict[str, Variable]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import tempfile
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -120,17 +119,14 @@ def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.Pat
     dataset = thickness.to_dataset() if isinstance(thickness, xr.DataArray) else thickness.copy()
     dataset.attrs["software"] = f"optical-palpation {version('optical-palpation')}"
     encoding = {name: {"zlib": True} for name in dataset.data_vars}
-    temporary: str | None = None
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        os.close(handle)
         dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
         os.replace(temporary, path)
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
-        if temporary is not None and os.path.exists(temporary):
-            os.unlink(temporary)
+        temporary.unlink(missing_ok=True)
 
 
 def _choose(variables: dict[str, Variable], wanted: str | None, path: Path) -> str:

@@ -1,0 +1,250 @@
+"""Input that cannot be used gives an InputError that says so, and never anything else."""
+
+import io
+import os
+import struct
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+import tifffile
+import xarray as xr
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from optical_palpation.errors import InputError
+from optical_palpation.thickness import read_thickness_map, thickness_map
+from test_thickness_maps import WRITERS, write_matlab_73
+
+GOOD = np.linspace(0.4, 0.5, 12).reshape(3, 4)
+
+
+def read(path, **options):
+    return read_thickness_map(path, **({"field_of_view": (5, 5)} | options))
+
+
+def expect(path, *fragments, **options):
+    with pytest.raises(InputError) as caught:
+        read(path, **options)
+    for fragment in (*fragments, path.name):
+        assert fragment in str(caught.value)
+
+
+def test_no_usable_file(tmp_path):
+    expect(tmp_path / "absent.mat", "no such file")
+    expect(tmp_path, "directory")
+    (tmp_path / "empty.csv").touch()
+    expect(tmp_path / "empty.csv", "is empty")
+    (tmp_path / "image.png").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR")
+    expect(tmp_path / "image.png", "no format", "89 50 4e 47")
+    (tmp_path / "latin.csv").write_bytes("0.4;0.5 µm".encode("latin-1"))
+    expect(tmp_path / "latin.csv", "UTF-8")
+    with pytest.raises(InputError):
+        read("nul\0byte.mat")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_unreadable_file(tmp_path):
+    path = tmp_path / "secret.npy"
+    np.save(path, GOOD)
+    path.chmod(0)
+    expect(path, "cannot be read")
+
+
+@pytest.mark.parametrize("name", [n for n in WRITERS if n.rpartition(".")[2] not in ("csv", "txt")])
+def test_truncated_file(tmp_path, name):
+    WRITERS[name](tmp_path / name, np.tile(GOOD, (30, 30)))
+    whole = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(whole[: len(whole) // 2])
+    expect(tmp_path / name, "damaged, truncated")
+
+
+@pytest.mark.parametrize(
+    ("text", "fragments"),
+    [
+        ("0.4,0.5\n0.4,0.5x\n", ("line 2, column 2", "'0.5x' is no number")),
+        ("# c\n\na,b,c\n1,2,3\n1,--,3\n", ("line 5, column 2", "'--' is no number")),
+        ("0.4;0,5\n0.4;0.5\n", ("line 1, column 2", "'0,5' is no number")),
+        ("0.4 1_0\n0.4 0.5\n", ("line 1, column 2", "'1_0' is no number")),
+        ("0.4,0.5\n0.4\n", ("line 2", "1 columns", "2")),
+        ("x_mm,y_mm,L1_mm\n0,0,0.4\n0,1,0.4\n", ("list of points",)),
+        ("# only this\n\n", ("no numbers",)),
+        ("a,b,c\n", ("no numbers",)),
+        ("0.4\n0.5\n0.6\n", ("3 x 1",)),
+        ("0.4\n", ("1 x 1",)),
+        ("nan,nan\nnan,\n", ("all values are missing",)),
+        ("0.4,inf\n0.4,0.4\n", ("1 of 4", "infinite", "row 0, column 1")),
+    ],
+)
+def test_text_that_is_no_map(tmp_path, text, fragments):
+    (tmp_path / "map.csv").write_text(text)
+    expect(tmp_path / "map.csv", *fragments)
+
+
+@pytest.mark.parametrize(
+    ("values", "fragments"),
+    [
+        (np.ones((1, 1)), ("1 x 1", "2 pixels")),
+        (np.ones((1, 9)), ("1 x 9",)),
+        (np.ones((0, 9)), ("0 x 9",)),
+        (np.ones(9), ("shape 9",)),
+        (np.ones((3, 3, 3)), ("3 x 3 x 3",)),
+        (np.float64(0.4), ("single number",)),
+        (GOOD.astype(complex), ("complex128",)),
+        (np.ones((3, 3), int), ("int64", "pixel counts")),
+        (np.ones((3, 3), bool), ("bool",)),
+        (np.full((3, 3), np.nan), ("all values are missing",)),
+        (np.where(GOOD > 0.49, -np.inf, GOOD), ("infinite", "row 2, column 2")),
+        (GOOD - 0.4, ("1 of 12", "zero or negative", "row 0, column 0", "NaN")),
+        (-GOOD, ("12 of 12", "zero or negative")),
+    ],
+)
+def test_arrays_that_are_no_thickness_map(tmp_path, values, fragments):
+    np.save(tmp_path / "map.npy", values)
+    expect(tmp_path / "map.npy", *fragments)
+    np.savez(tmp_path / "map.npz", L1=values)
+    expect(tmp_path / "map.npz", "variable L1", *fragments)
+
+
+def test_types_that_only_some_formats_have(tmp_path):
+    scipy.io.savemat(tmp_path / "v5.mat", {"L1": GOOD + 1j})
+    expect(tmp_path / "v5.mat", "complex128")
+    scipy.io.savemat(tmp_path / "v5.mat", {"L1": {"map": GOOD}})
+    expect(tmp_path / "v5.mat", "variable L1")
+    write_matlab_73(tmp_path / "v73.mat", L1=GOOD > 0.45)
+    expect(tmp_path / "v73.mat", "bool")
+    with h5py.File(tmp_path / "v73.mat", "r+") as file:
+        del file["L1"]
+        pair = np.zeros((3, 4), [("real", "f8"), ("imag", "f8")])
+        file.create_dataset("L1", data=pair).attrs["MATLAB_class"] = np.bytes_("double")
+    expect(tmp_path / "v73.mat", "complex128")
+    tifffile.imwrite(tmp_path / "map.tif", (1000 * GOOD).astype("u2"))
+    expect(tmp_path / "map.tif", "uint16")
+    tifffile.imwrite(tmp_path / "map.tif", np.ones((5, 3, 4), "f4"), photometric="minisblack")
+    expect(tmp_path / "map.tif", "5 x 3 x 4")
+    np.save(tmp_path / "map.npy", np.array([[{}]]), allow_pickle=True)
+    expect(tmp_path / "map.npy", "Object arrays")
+
+
+def test_choice_of_variable(tmp_path):
+    np.savez(tmp_path / "two.npz", L0=GOOD, L1=GOOD)
+    expect(tmp_path / "two.npz", "more than one", "L0 (3 x 4 float64), L1 (3 x 4 float64)")
+    expect(tmp_path / "two.npz", "no variable 'L2'", "L0", "L1", variable="L2")
+    np.savez(tmp_path / "none.npz", a=GOOD > 0.45, b=np.ones(3))
+    expect(tmp_path / "none.npz", "no array", "a (3 x 4 bool), b (3 float64)")
+    np.savez(tmp_path / "nothing.npz")
+    with pytest.raises(InputError):
+        read(tmp_path / "nothing.npz")
+    np.save(tmp_path / "map.npy", GOOD)
+    expect(tmp_path / "map.npy", "without a name", variable="L1")
+
+
+def test_contradicting_or_unknown_units(tmp_path):
+    xr.Dataset({"L1_um": (("y", "x"), GOOD, {"units": "mm"})}).to_netcdf(tmp_path / "map.nc")
+    expect(tmp_path / "map.nc", "contradicting", "name says um", "attribute says mm")
+    np.savez(tmp_path / "map.npz", L1_um=GOOD)
+    expect(tmp_path / "map.npz", "contradicting", "length_unit says mm", length_unit="mm")
+    expect(tmp_path / "map.npz", "'parsec'", length_unit="parsec")
+    xr.Dataset({"L1": (("y", "x"), GOOD, {"units": "kPa"})}).to_netcdf(tmp_path / "kpa.nc")
+    expect(tmp_path / "kpa.nc", "'kPa'")
+
+
+def test_lateral_frame_missing_or_contradicting(tmp_path):
+    x, y = np.arange(4.0), np.arange(3.0)
+    path = tmp_path / "map.npz"
+    np.savez(path, L1=GOOD)
+    expect(path, "no coordinates", "field of view", field_of_view=None)
+    for wrong in ((5, 0), (5,), (5, np.nan), (-5, 5), "ab", 5):
+        with pytest.raises(InputError, match="field of view must be"):
+            read(path, field_of_view=wrong)
+    np.savez(path, L1=GOOD, x=x, y=y)
+    expect(path, "field of view of 5 mm along x contradicts the coordinates")
+    expect(path, "pixel spacing of 0.5 mm", field_of_view=None, pixel_spacing=(1, 0.5))
+    np.savez(path, L1=GOOD, x=y, y=x)
+    expect(path, "variable x", "3 rows along y and 4 columns along x", field_of_view=None)
+    np.savez(path, L1=GOOD, x=x)
+    expect(path, "both x and y", field_of_view=None)
+    np.savez(path, L1=GOOD, x=x, y=np.array([0, 2, 1.0]))
+    expect(path, "y coordinates must be finite and rise", field_of_view=None)
+    np.savez(path, L1=GOOD, x=np.array([0, 1, 2, np.nan]), y=y)
+    expect(path, "x coordinates must be finite", field_of_view=None)
+    np.savez(path, L1=GOOD, x=x, x_mm=x, y=y)
+    expect(path, "several coordinates along x", field_of_view=None)
+
+
+def test_layer_extent_outside_the_map_or_inside_out():
+    for wrong in ((0, 6, 0, 5), (-0.1, 5, 0, 5), (0, 5, 0, 5.1)):
+        with pytest.raises(InputError, match="reaches beyond the map"):
+            thickness_map(GOOD, field_of_view=(5, 5), layer_extent=wrong)
+    with pytest.raises(InputError, match="x0 < x1"):
+        thickness_map(GOOD, field_of_view=(5, 5), layer_extent=(5, 0, 0, 5))
+    with pytest.raises(InputError, match="4 finite numbers"):
+        thickness_map(GOOD, field_of_view=(5, 5), layer_extent=(0, 5))
+
+
+def survives(path, content):
+    """Read the bytes as a map: a valid result or an InputError, nothing else."""
+    path.write_bytes(content)
+    try:
+        result = read(path)
+    except InputError:
+        return
+    assert result.ndim == 2
+    assert np.nanmin(result) > 0
+
+
+@given(
+    head=st.sampled_from(
+        [
+            b"",
+            b"\x93NUMPY\x01\x00",
+            b"PK\x03\x04",
+            b"CDF\x01",
+            b"\x89HDF\r\n\x1a\n",
+            b"II*\0",
+            b"MM\0*",
+            b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM",
+            b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n",
+        ]
+    ),
+    tail=st.binary(max_size=300),
+)
+@settings(max_examples=300)
+def test_random_bytes_behind_every_signature(tmp_path, head, tail):
+    survives(tmp_path / "random.bin", head + tail)
+
+
+@given(text=st.text(max_size=60))
+@example("1e400 1\n1 1")
+@example("0x1 1\n1 1")
+@settings(max_examples=200)
+def test_random_text(tmp_path, text):
+    survives(tmp_path / "random.txt", text.encode(errors="surrogatepass"))
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@given(data=st.data())
+def test_damaged_files(tmp_path, name, data):
+    WRITERS[name](tmp_path / name, GOOD)
+    content = bytearray((tmp_path / name).read_bytes())
+    for _ in range(data.draw(st.integers(0, 3))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    content = (
+        content[: data.draw(st.integers(0, len(content)))] if data.draw(st.booleans()) else content
+    )
+    survives(tmp_path / name, bytes(content))
+
+
+def test_header_that_promises_more_than_memory_holds(tmp_path):
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (10000000, 10000000), }\n"
+    np_file = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + bytes(64)
+    (tmp_path / "huge.npy").write_bytes(np_file)
+    expect(tmp_path / "huge.npy", "damaged, truncated")
+    import zipfile
+
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("L1.npy", np_file)
+    (tmp_path / "huge.npz").write_bytes(buffer.getvalue())
+    expect(tmp_path / "huge.npz", "damaged, truncated")
