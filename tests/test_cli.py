@@ -1,0 +1,220 @@
+"""The command line end to end, by the files it leaves and the status it exits with."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+import xarray as xr
+
+from optical_palpation.cli import main
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation.algebraic import algebraic_stress
+from optical_palpation.present import read_result
+
+MATERIAL = ["--initial-thickness", "0.5", "--c10", "2.23", "--c01", "0.703"]
+FRAME = ["--field-of-view", "2", "1.5"]
+ALGEBRAIC = ["--method", "algebraic", *MATERIAL]
+FRICTION = ["--window-friction", "0.15", "--sample-friction", "0.05"]
+COMPUTATIONAL = [*MATERIAL, *FRICTION, "--element-size", "0.25"]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder to work in, with a good map of 13 x 17 pixels in it."""
+    monkeypatch.chdir(tmp_path)
+    y, x = np.meshgrid(np.linspace(0, 1.5, 13), np.linspace(0, 2, 17), indexing="ij")
+    np.save("map.npy", 0.42 - 0.04 * np.exp(-((x - 0.7) ** 2 + (y - 1) ** 2) / 0.2))
+    return tmp_path
+
+
+@pytest.fixture
+def run(capsys):
+    def run(*arguments):
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as leaving:
+            main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return leaving.value.code or 0, out, err
+
+    return run
+
+
+def test_algebraic_method_end_to_end(here, run):
+    files = ["--output", "o.nc", "--plot", "o.png", "--profiles", "o.csv"]
+    status, out, err = run("stress", "map.npy", *FRAME, *ALGEBRAIC, *files)
+    assert (status, err) == (0, "")
+    for name in files[1::2]:
+        assert (here / name).stat().st_size > 1000
+        assert name in out
+    maps = xr.open_dataset("o.nc", engine="h5netcdf")
+    loaded = xr.DataArray(np.load("map.npy"), dims=("y", "x"), coords=maps["axial_stress"].coords)
+    expected = algebraic_stress(loaded, 0.5, MooneyRivlin(2.23, 0.703))
+    xr.testing.assert_allclose(maps["axial_stress"], expected, rtol=1e-12)
+    assert maps["axial_stress"].attrs["units"] == "kPa"
+    np.testing.assert_allclose(maps["x"], np.linspace(0, 2, 17))
+    assert f"mean {float(expected.mean()):.3f} kPa" in out
+
+
+def test_missing_pixels_and_spikes_are_filled_and_reported(here, run):
+    values = np.load("map.npy")
+    values[3, 4] = np.nan
+    values[8, 9] = 0.1
+    np.save("holes.npy", values)
+    status, out, _ = run("stress", "holes.npy", *FRAME, *ALGEBRAIC, "--output", "o.nc")
+    assert status == 0
+    assert "filled pixels: 0.90%" in out
+    filled = read_result("o.nc").maps["filled"].values
+    assert np.argwhere(filled).tolist() == [[3, 4], [8, 9]]
+
+
+def test_initial_thickness_may_be_a_map_of_its_own(here, run):
+    shared = np.linspace(0.5, 0.6, 17) * np.ones((13, 1))
+    scipy.io.savemat("before.mat", {"L0": shared, "other": shared})
+    command = ["stress", "map.npy", *FRAME, "--method", "algebraic", "--c10", "2.23"]
+    command += ["--initial-thickness", "before.mat", "--output", "o.nc"]
+    assert run(*command)[0] == 2
+    status, _, _ = run(*command, "--initial-variable", "L0")
+    assert status == 0
+    loaded = np.load("map.npy")
+    expected = MooneyRivlin(2.23).uniaxial_stress(loaded / shared - 1, measure="true")
+    np.testing.assert_allclose(read_result("o.nc").maps["axial_stress"], expected, rtol=1e-9)
+
+
+def test_quiet_prints_nothing(here, run):
+    assert run("stress", "map.npy", *FRAME, *ALGEBRAIC, "--output", "o.nc", "--quiet") == (
+        0,
+        "",
+        "",
+    )
+
+
+def bad_maps():
+    """Maps that cannot be used, made in the current folder."""
+    good = np.load("map.npy")
+    for name, values in {
+        "pixel": good[:1, :1],
+        "missing": np.full_like(good, np.nan),
+        "micrometres": good * 1000,
+        "metres": good / 1000,
+        "zero": np.where(good == good[5, 5], 0, good),
+        "negative": np.where(good == good[5, 5], -0.4, good),
+        "above": good + 0.2,
+        "cube": np.stack([good, good]),
+    }.items():
+        np.save(f"{name}.npy", values)
+    np.savez("two.npz", a=good, b=good)
+    Path("text.csv").write_text("0.4,0.4\n0.4,thin\n")
+    Path("empty.mat").touch()
+
+
+NO_MAP = ["--output", "o.nc", *FRAME, *ALGEBRAIC]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.mat", *NO_MAP], "nowhere.mat: no such file"),
+        (["two.npz", *NO_MAP, "--variable", "c"], "no variable 'c'"),
+        (["two.npz", *NO_MAP], "more than one"),
+        (["text.csv", *NO_MAP], "text.csv"),
+        (["empty.mat", *NO_MAP], "empty"),
+        (["pixel.npy", *NO_MAP], "1 x 1"),
+        (["cube.npy", *NO_MAP], "two dimensions"),
+        (["missing.npy", *NO_MAP], "missing"),
+        (["micrometres.npy", *NO_MAP], "um"),
+        (["metres.npy", *NO_MAP], "mm"),
+        (["zero.npy", *NO_MAP], "zero or negative"),
+        (["negative.npy", *NO_MAP], "zero or negative"),
+        (["above.npy", *NO_MAP], "nothing is pressed"),
+        (["map.npy", "--output", "o.nc", *ALGEBRAIC], "field of view"),
+        (["map.npy", *NO_MAP, "--field-of-view", "0", "1"], "positive"),
+        (["map.npy", *NO_MAP, "--length-unit", "inch"], "inch"),
+        (["map.npy", *NO_MAP, "--initial-thickness", "-0.5"], "initial thickness"),
+        (["map.npy", *NO_MAP, "--initial-thickness", "nan"], "initial thickness"),
+        (["map.npy", *NO_MAP, "--initial-thickness", "nowhere.npy"], "nowhere.npy"),
+        (["map.npy", *NO_MAP, "--c10", "-1"], "-1"),
+        (["map.npy", *NO_MAP, "--c10", "nan"], "nan"),
+        (["map.npy", *NO_MAP, "--c10", "thick"], "--c10"),
+        (["map.npy", *NO_MAP, "--bulk-to-shear", "-3"], "bulk"),
+        (["map.npy", *NO_MAP, "--method", "magic"], "magic"),
+        (["map.npy", *NO_MAP, "--vtk", "o.vts"], "--vtk"),
+        (["map.npy", *NO_MAP, "--plot", "o.bmp"], "o.bmp"),
+        (["map.npy", *NO_MAP, "--output", "nowhere/o.nc"], "no folder nowhere"),
+        (["map.npy", *NO_MAP, "--output", "folder.nc"], "is a folder"),
+        (["map.npy", *NO_MAP, "--output", "/proc/self/o.nc"], "cannot be written"),
+        (["map.nc", *NO_MAP, "--output", "map.nc"], "map.nc"),
+        (["map.npy", *FRAME, *MATERIAL, "--output", "o.nc"], "--window-friction"),
+        (
+            ["map.npy", *FRAME, *COMPUTATIONAL, "--output", "o.nc", "--window-friction", "-0.1"],
+            "frict",
+        ),
+        (
+            ["map.npy", *FRAME, *COMPUTATIONAL, "--output", "o.nc", "--sample-friction", "nan"],
+            "frict",
+        ),
+        (["map.npy", *FRAME, *COMPUTATIONAL, "--output", "o.nc", "--element-size", "7"], "element"),
+        (["map.npy", *FRAME, *COMPUTATIONAL, "--output", "o.nc", "--element-size", "0"], "element"),
+        (
+            ["map.npy", *FRAME, *COMPUTATIONAL, "--output", "o.nc", "--element-size", "1", "2"],
+            "three",
+        ),
+    ],
+    ids=lambda value: " ".join(value)[:60] if isinstance(value, list) else "",
+)
+def test_bad_input_is_refused_and_nothing_written(here, run, arguments, message):
+    bad_maps()
+    (here / "folder.nc").mkdir()
+    xr.Dataset({"loaded_thickness": (("y", "x"), np.load("map.npy"))}).to_netcdf(
+        "map.nc", engine="h5netcdf"
+    )
+    before = {path.name: path.stat().st_mtime_ns for path in here.iterdir()}
+    status, out, err = run("stress", *arguments)
+    assert status == 2, err
+    assert message in " ".join(err.replace("│", " ").split())
+    assert "Traceback" not in err
+    assert out == ""
+    assert {path.name: path.stat().st_mtime_ns for path in here.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (["0.125"], 0.125),
+        (["0.125", "0.125", "0.1"], (0.125, 0.125, 0.1)),
+        (["0.125,0.125,0.1"], (0.125, 0.125, 0.1)),
+    ],
+)
+@pytest.mark.parametrize("form", ["separate", "equals"])
+@pytest.mark.parametrize("place", ["before", "after"])
+def test_element_size_takes_one_value_or_three(
+    here, run, monkeypatch, given, expected, form, place
+):
+    """What the Python interface is called with, whatever way the numbers were written."""
+    from optical_palpation import palpation
+    from optical_palpation.errors import ConvergenceError
+
+    def record(*arguments, element_size, **options):
+        raise ConvergenceError(f"called with {element_size}")
+
+    monkeypatch.setattr(palpation, "computational_stress", record, raising=False)
+    option = ["--element-size", *given]
+    if form == "equals":
+        option = [f"--element-size={given[0]}", *given[1:]]
+    rest = ["map.npy", *FRAME, *MATERIAL, *FRICTION, "--output", "o.nc"]
+    arguments = [*option, *rest] if place == "before" else [*rest, *option]
+    status, _, err = run("stress", *arguments)
+    assert status == 3
+    assert f"error: called with {expected}" in err
+    assert not (here / "o.nc").exists()
+
+
+def test_installed_command_runs_and_starts_fast():
+    command = [sys.executable, "-X", "importtime", "-c"]
+    program = "from optical_palpation.cli import main; main(['--help'])"
+    done = subprocess.run([*command, program], capture_output=True, text=True, check=True)
+    assert "stress" in done.stdout
+    for heavy in ("numba", "matplotlib", "xarray", "scipy"):
+        assert f" {heavy}\n" not in done.stderr, f"{heavy} is imported for --help"

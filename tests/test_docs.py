@@ -1,0 +1,116 @@
+"""Every command and every Python example of README and docs, run as a reader would run them.
+
+The blocks of a page run in order in one empty folder, with third-party data at ``../shared/data``
+where there are some. Shell blocks are fenced ``console`` (commands after ``$``) or ``bash``,
+examples ``python``; the examples of a page share their names. A block below
+``<!-- no-test: reason -->`` may hold only ``make`` commands (which would install the project into
+a fresh environment): their targets are looked up instead.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
+DATA = ROOT / ".." / "shared" / "data"
+FENCE = re.compile(
+    r"^(?P<indent> *)```(?P<language>[\w-]*)[^\n]*\n(?P<code>.*?)^(?P=indent)```", re.M | re.S
+)
+
+
+@dataclass(frozen=True)
+class Block:
+    language: str
+    code: str
+    place: str
+    untested: bool
+
+
+def blocks(page):
+    text = page.read_text()
+    found = []
+    for match in FENCE.finditer(text):
+        indent = len(match["indent"])
+        code = "".join(line[indent:] for line in match["code"].splitlines(keepends=True))
+        before = text[: match.start()]
+        place = f"{page.name}:{before.count(chr(10)) + 1}"
+        untested = before.rstrip().splitlines()[-1:] and re.fullmatch(
+            r"\s*<!-- no-test: .+ -->", before.rstrip().splitlines()[-1]
+        )
+        found.append(Block(match["language"], code, place, bool(untested)))
+    return found
+
+
+def commands(block):
+    """Return the commands of a shell block as one script."""
+    if block.language != "console":
+        return block.code
+    script, continued = [], False
+    for line in block.code.splitlines():
+        if line.startswith("$ ") or continued:
+            script.append(line if continued else line[2:])
+            continued = line.endswith("\\")
+    assert script, f"{block.place}: a console block has its commands after '$ '"
+    return "\n".join(script)
+
+
+def check_make_targets(block):
+    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.M))
+    for line in commands(block).splitlines():
+        program, _, target = line.partition(" ")
+        assert program == "make", f"{block.place}: only make commands may go untested: {line}"
+        assert target in targets, f"{block.place}: the Makefile has no target {target!r}"
+
+
+def run_shell(block, folder):
+    environment = os.environ | {
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    }
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", commands(block)],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, f"{block.place} exits with {done.returncode}:\n{done.stderr}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_block_runs(page, tmp_path, monkeypatch):
+    folder = tmp_path / "work"
+    folder.mkdir()
+    if DATA.is_dir():
+        (tmp_path / "shared").mkdir()
+        (tmp_path / "shared" / "data").symlink_to(DATA.resolve())
+    monkeypatch.chdir(folder)
+    names = {"__name__": "__docs__"}
+    skipped = []
+    for block in blocks(page):
+        assert block.language, f"{block.place}: say what the block is (console, python, text, ...)"
+        if block.untested:
+            check_make_targets(block)
+        elif "../shared" in block.code and not DATA.is_dir():
+            skipped.append(block.place)
+        elif block.language in ("console", "bash", "sh", "shell"):
+            run_shell(block, folder)
+        elif block.language == "python":
+            exec(
+                compile("\n" * int(block.place.rpartition(":")[2]) + block.code, page, "exec"),
+                names,
+            )
+    if skipped:
+        pytest.skip(f"third-party data not found in ../shared/data for {', '.join(skipped)}")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_local_link_leads_somewhere(page):
+    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
+        if "://" not in target:
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
