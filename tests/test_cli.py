@@ -1,5 +1,6 @@
 """The command line end to end, by the files it leaves and the status it exits with."""
 
+import hashlib
 import subprocess
 import sys
 from pathlib import Path
@@ -80,7 +81,12 @@ def test_initial_thickness_may_be_a_map_of_its_own(here, run):
     assert status == 0
     loaded = np.load("map.npy")
     expected = MooneyRivlin(2.23).uniaxial_stress(loaded / shared - 1, measure="true")
-    np.testing.assert_allclose(read_result("o.nc").maps["axial_stress"], expected, rtol=1e-9)
+    maps = read_result("o.nc").maps
+    np.testing.assert_allclose(maps["axial_stress"], expected, rtol=1e-9)
+    for attribute, file in (("input", "map.npy"), ("initial_thickness_input", "before.mat")):
+        assert maps.attrs[attribute] == file
+        digest = hashlib.sha256(Path(file).read_bytes()).hexdigest()
+        assert maps.attrs[f"{attribute}_sha256"] == digest
 
 
 def test_quiet_prints_nothing(here, run):

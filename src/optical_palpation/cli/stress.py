@@ -181,6 +181,9 @@ def stress(
             )
     result.maps["filled"] = cleaned["filled"]
     result.maps.attrs |= cleaned.attrs
+    if thickness_is_map:
+        result.maps.attrs["initial_thickness_input"] = initial.attrs["source"]
+        result.maps.attrs["initial_thickness_input_sha256"] = initial.attrs["source_sha256"]
 
     writers = {
         "result": present.write_result,

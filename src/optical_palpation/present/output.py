@@ -126,6 +126,9 @@ def provenance(maps: xr.Dataset) -> dict[str, Any]:
         "spacing_x_mm": float((x[-1] - x[0]) / max(x.size - 1, 1)),
         "spacing_y_mm": float((y[-1] - y[0]) / max(y.size - 1, 1)),
     }
+    for name, value in maps["loaded_thickness"].attrs.items():
+        if name.startswith("source"):  # of the map: file name, hash, variable, unit
+            attributes[name.replace("source", "input")] = _plain(value)
     attributes.update({name: _plain(value) for name, value in maps.attrs.items()})
     return attributes
 
