@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
 
 from optical_palpation.errors import InputError, MaterialError
 
@@ -195,15 +196,15 @@ def stable_stretches(c10: float, c01: float) -> tuple[float, float]:
             f"unstable material: c10 + c01 = {c10 + c01:g} kPa must be positive "
             f"(c10 = {c10:g} kPa, c01 = {c01:g} kPa)"
         )
-    largest = max(abs(c10), abs(c01))
-    c10, c01 = c10 / largest, c01 / largest
-    roots = np.roots([2.0 * c10, c01, 0.0, c10, 2.0 * c01])
-    bounds = [root.real for root in roots if abs(root.imag) < 1e-9 and root.real > 0.0]
-    if c10 * c01 < 0.0:
-        bounds.append(math.sqrt(-c10 / c01))
-    lowest = float(max((bound for bound in bounds if bound < 1.0), default=0.0))
-    highest = float(min((bound for bound in bounds if bound > 1.0), default=math.inf))
-    return lowest, highest
+    ratio = min(c10, c01) / max(c10, c01)
+    if ratio >= 0.0:
+        return 0.0, math.inf
+    # Exchanging the coefficients and inverting the stretch leaves both conditions as they are.
+    along = brentq(lambda stretch: 2 * stretch**4 + stretch + ratio * (stretch**3 + 2), 0.0, 1.0)
+    across = math.sqrt(-ratio)
+    if c01 < 0.0:
+        return along, 1.0 / across
+    return across, 1.0 / along if along > 0.0 else math.inf
 
 
 def _percent(stretch: float) -> str:
