@@ -1,0 +1,96 @@
+"""DICOM files with one frame per B-scan; needs pydicom."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .arrays import MAX_BSCAN_BYTES, PagedArray, check_array, nbytes, squeezed
+from .metadata import Stated
+from .volume import Source
+
+FORMAT = "DICOM"
+
+_DEFLATED = "1.2.840.10008.1.2.1.99"
+_MAX_RATIO = 1000
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """``DICM`` after the preamble of 128 bytes."""
+    return head[128:132] == b"DICM"
+
+
+def read(path: Path, variable: str | None) -> Source:
+    """Read the header, without the frames."""
+    try:
+        import pydicom
+        from pydicom.pixels import pixel_array
+    except ImportError:
+        raise InputError(
+            f"{path}: reading DICOM needs pydicom: pip install 'optical-palpation[formats]'"
+        ) from None
+
+    meta = pydicom.filereader.read_file_meta_info(path)
+    if str(meta.get("TransferSyntaxUID")) == _DEFLATED:
+        raise InputError(
+            f"{path}: deflated DICOM would have to be unpacked whole; save it undeflated"
+        )
+    header = pydicom.dcmread(path, stop_before_pixels=True)
+    if (
+        header.get("SamplesPerPixel", 1) != 1
+        or header.get("PhotometricInterpretation") != "MONOCHROME2"
+    ):
+        raise InputError(
+            f"{path}: frames are {header.get('PhotometricInterpretation')}; only grey ones "
+            "(MONOCHROME2) are supported"
+        )
+    frames = int(header.get("NumberOfFrames", 1) or 1)
+    rows, columns, bits = (int(header.get(k, 0)) for k in ("Rows", "Columns", "BitsAllocated"))
+    if bits not in (8, 16, 32):
+        raise InputError(f"{path}: {bits} bits per sample are not supported")
+    stored = np.dtype(f"{'i' if header.get('PixelRepresentation', 0) else 'u'}{bits // 8}")
+    check_array((frames, rows, columns), stored, str(path))
+    size = path.stat().st_size
+    needed = nbytes((frames, rows, columns), stored)
+    compressed = header.file_meta.TransferSyntaxUID.is_compressed
+    if needed > (size * _MAX_RATIO if compressed else size):
+        raise InputError(
+            f"{path}: {frames} frames of {rows} x {columns} do not fit in {size} bytes"
+        )
+    if nbytes((rows, columns), stored) > MAX_BSCAN_BYTES:
+        raise InputError(f"{path}: frames of {rows} x {columns} samples are too large")
+
+    slope = float(header.get("RescaleSlope", 1) or 1)
+    intercept = float(header.get("RescaleIntercept", 0) or 0)
+    scaled = (slope, intercept) != (1.0, 0.0)
+
+    def read_page(index: int) -> NDArray[Any]:
+        frame = pixel_array(path, index=index)
+        return frame * np.float32(slope) + np.float32(intercept) if scaled else frame
+
+    array: Any = PagedArray(
+        read_page, np.dtype(np.float32) if scaled else stored, (frames, rows, columns)
+    )
+    if frames == 1:
+        array = squeezed(array, keep=2)
+    return Source(array, _stated(header, frames), "streamed")
+
+
+def _stated(header: Any, frames: int) -> Stated:
+    """Take spacing from the frame's pixel measures, wherever the kind of image keeps them."""
+    measures = header
+    for sequence in ("SharedFunctionalGroupsSequence", "PixelMeasuresSequence"):
+        if sequence in measures and len(measures[sequence].value) == 1:
+            measures = measures[sequence].value[0]
+    pixel = measures.get("PixelSpacing")
+    rows, columns = (
+        (float(v) for v in pixel) if pixel is not None and len(pixel) == 2 else (None, None)
+    )
+    between = measures.get("SpacingBetweenSlices")
+    if frames == 1:
+        return Stated(axes="zx", spacing=(rows, columns))
+    return Stated(axes="yzx", spacing=(None if between is None else float(between), rows, columns))

@@ -1,0 +1,113 @@
+"""A folder of B-scan images (PNG, BMP, JPEG, single-page TIFF), or one such image.
+
+Rows are z, columns x; the files follow each other along y in the natural order of their names
+(``scan_9`` before ``scan_10``). Files that are no images are passed over.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from . import tiff
+from .arrays import MAX_BSCAN_BYTES, PagedArray, check_array, nbytes, squeezed
+from .metadata import Stated
+from .volume import Source
+
+FORMAT = "B-scan images"
+
+_MAGIC = (b"\x89PNG\r\n\x1a\n", b"BM", b"\xff\xd8\xff")
+_PILLOW_FORMATS = ("PNG", "BMP", "JPEG")
+_TYPES = {"L": np.uint8, "I;16": np.uint16, "I;16B": np.uint16, "I": np.int32, "F": np.float32}
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Tell by being a folder, or the magic of PNG, BMP and JPEG files."""
+    return path.is_dir() or head.startswith(_MAGIC)
+
+
+def read(path: Path, variable: str | None) -> Source:
+    """Read every image's header; they must agree."""
+    files = _images(path) if path.is_dir() else [path]
+    if not files:
+        raise InputError(f"{path}: holds no images (PNG, BMP, JPEG, TIFF)")
+    shape, dtype = _header(files[0])
+    for file in files[1:]:
+        other = _header(file)
+        if other != (shape, dtype):
+            raise InputError(
+                f"{path}: {file.name} has shape {other[0]} and type {other[1]}, but "
+                f"{files[0].name} has {shape} and {dtype}; all B-scans must agree"
+            )
+    array: Any = PagedArray(lambda i: _pixels(files[i]), dtype, (len(files), *shape))
+    if len(files) == 1:
+        return Source(squeezed(array, keep=2), Stated(axes="zx"), "streamed")
+    return Source(array, Stated(axes="yzx"), "streamed")
+
+
+def _images(folder: Path) -> list[Path]:
+    found = []
+    for file in folder.iterdir():
+        if file.is_file() and not file.name.startswith("."):
+            with file.open("rb") as stream:
+                if stream.read(8).startswith(_MAGIC + tiff._MAGIC):
+                    found.append(file)
+    return sorted(found, key=_natural)
+
+
+def _natural(file: Path) -> list[tuple[int, int, str]]:
+    parts = re.split(r"([0-9]+)", file.name)
+    return [(0, int(p), p) if p[:1].isdigit() else (1, 0, p) for p in parts]
+
+
+def _header(file: Path) -> tuple[tuple[int, int], np.dtype[Any]]:
+    if _is_tiff(file):
+        array, close = _open_tiff(file)
+        close()
+        if len(array.shape) == 3 and array.shape[0] != 1:
+            raise InputError(f"{file}: is a stack of its own; a folder holds one B-scan per file")
+        shape, dtype = array.shape[-2:], array.dtype
+    else:
+        with _open_image(file) as image:
+            if image.mode not in _TYPES:
+                raise InputError(f"{file}: is a colour image ({image.mode}); save it in grey")
+            shape, dtype = (image.height, image.width), np.dtype(_TYPES[image.mode])
+    check_array(shape, dtype, str(file))
+    if nbytes(shape, dtype) > MAX_BSCAN_BYTES:
+        raise InputError(f"{file}: an image of {shape} samples is too large")
+    return shape, dtype
+
+
+def _pixels(file: Path) -> NDArray[Any]:
+    if _is_tiff(file):
+        array, close = _open_tiff(file)
+        try:
+            return array[(slice(None),) * len(array.shape)].reshape(array.shape[-2:])
+        finally:
+            close()
+    with _open_image(file) as image:
+        return np.asarray(image)
+
+
+def _is_tiff(file: Path) -> bool:
+    with file.open("rb") as stream:
+        return tiff.recognises(file, stream.read(4))
+
+
+def _open_tiff(file: Path) -> tuple[Any, Any]:
+    source = tiff.read(file, None)
+    return source.array, source.close
+
+
+def _open_image(file: Path) -> Any:
+    from PIL import Image
+
+    try:
+        return Image.open(file, formats=_PILLOW_FORMATS)
+    except Image.DecompressionBombError as error:
+        raise InputError(f"{file}: {error}") from error

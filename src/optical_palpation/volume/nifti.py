@@ -1,0 +1,100 @@
+"""NIfTI-1 and NIfTI-2 files (``.nii``, ``.nii.gz``); needs nibabel.
+
+The three axes are called x, y, z in the order of the format unless the user says otherwise. Voxel
+sizes are believed only where the header names their unit.
+"""
+
+from __future__ import annotations
+
+import gzip
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from .archive import check_ratio
+from .arrays import MAX_LOADED_BYTES, LazyArray, check_array, nbytes, squeezed
+from .metadata import Stated
+from .volume import Source
+
+FORMAT = "NIfTI"
+
+_GZIP = b"\x1f\x8b"
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Tell by the NIfTI magic, also within gzip."""
+    if head.startswith(_GZIP):
+        try:
+            head = zlib.decompressobj(wbits=31).decompress(head, 540)
+        except zlib.error:
+            return False
+    size = head[:4]
+    return (
+        size in (struct.pack("<i", 348), struct.pack(">i", 348)) and head[344:347] == b"n+1"
+    ) or (size in (struct.pack("<i", 540), struct.pack(">i", 540)) and head[4:7] == b"n+2")
+
+
+def read(path: Path, variable: str | None) -> Source:
+    """Read the header."""
+    try:
+        import nibabel
+    except ImportError:
+        raise InputError(
+            f"{path}: reading NIfTI needs nibabel: pip install 'optical-palpation[formats]'"
+        ) from None
+
+    with path.open("rb") as stream:
+        compressed = stream.read(2) == _GZIP
+    with gzip.open(path) if compressed else path.open("rb") as stream:
+        size = struct.unpack("<i", stream.read(4))[0]
+        stream.seek(0)
+        kind = nibabel.Nifti2Image if size in (540, 469893120) else nibabel.Nifti1Image
+        header = kind.header_class.from_fileobj(stream)
+    shape = tuple(int(n) for n in header.get_data_shape())
+    dtype = header.get_data_dtype()
+    proxy = nibabel.arrayproxy.ArrayProxy(str(path), header, mmap=False)
+    needed = proxy.offset + nbytes(shape, dtype)
+    if len(shape) > 3 and set(shape[3:]) != {1}:
+        raise InputError(f"{path}: holds a series of volumes {shape}, not one")
+    check_array(shape[:3], dtype, str(path))
+    if proxy.offset < 0:
+        raise InputError(f"{path}: samples begin at byte {proxy.offset}")
+    if compressed:
+        check_ratio(needed, path.stat().st_size, str(path))
+        if needed > MAX_LOADED_BYTES:
+            raise InputError(f"{path}: too large to load whole; store it as .nii without gzip")
+    elif needed > path.stat().st_size:
+        raise InputError(
+            f"{path}: {shape} samples need {needed} bytes, the file has {path.stat().st_size}: "
+            "it is truncated, or its header is wrong"
+        )
+    # A slope of 0 or NaN in the header means "not scaled": nibabel sees to that.
+    scaled = proxy.slope != 1 or proxy.inter != 0
+    data = np.asanyarray(proxy) if compressed else _Scaled(proxy, dtype, scaled)
+    array = squeezed(LazyArray(data, None if compressed else (*shape[:-1], 1)))
+    return Source(array, _stated(header, array.shape), "loaded" if compressed else "mapped")
+
+
+class _Scaled:
+    """The proxy with the type of what it returns, in place of that of what is stored."""
+
+    def __init__(self, proxy: Any, dtype: np.dtype[Any], scaled: bool) -> None:
+        self._proxy = proxy
+        self.shape = proxy.shape
+        self.dtype = np.result_type(dtype, np.float32) if scaled else dtype
+
+    def __getitem__(self, key: Any) -> Any:
+        return self._proxy[key]
+
+
+def _stated(header: Any, shape: tuple[int, ...]) -> Stated:
+    axes = "xyz"[: len(shape)] if len(shape) == 3 else None
+    unit = header.get_xyzt_units()[0]
+    factor = {"mm": 1.0, "meter": 1e3, "micron": 1e-3}.get(unit)
+    if factor is None or len(shape) != 3:
+        return Stated(axes=axes)
+    return Stated(axes=axes, spacing=tuple(float(step) * factor for step in header.get_zooms()[:3]))

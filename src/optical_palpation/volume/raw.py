@@ -1,0 +1,93 @@
+"""Raw binary samples with a sidecar ``<name>.toml`` or ``<name>.json`` that describes them.
+
+The sidecar of ``scan.raw`` is ``scan.raw.toml`` and gives ``dtype`` (such as ``"float32"``),
+``shape`` (slowest axis first) and, as it knows them, ``byte_order`` (``"little"`` or ``"big"``),
+``offset`` (bytes before the first sample), ``axes``, ``spacing_mm``, ``origin_mm`` (one number per
+axis, in the order of ``axes``), ``scale`` and ``refractive_index``.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from .arrays import FileArray, check_array, nbytes
+from .metadata import described
+from .volume import Source
+
+FORMAT = "raw binary with sidecar"
+
+_KEYS = {
+    "dtype",
+    "shape",
+    "byte_order",
+    "offset",
+    "axes",
+    "spacing_mm",
+    "origin_mm",
+    "scale",
+    "refractive_index",
+}
+_TYPES = {
+    *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
+    *("float16", "float32", "float64", "complex64", "complex128"),
+}
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Any file beside which a sidecar lies."""
+    return bool(head) and _sidecar(path) is not None
+
+
+def read(path: Path, variable: str | None) -> Source:
+    """Read the sidecar."""
+    sidecar = _sidecar(path)
+    assert sidecar is not None  # recognises() saw it
+    entries = _entries(sidecar)
+    if unknown := sorted(set(entries) - _KEYS):
+        raise InputError(f"{sidecar}: unknown entries {unknown}; known: {sorted(_KEYS)}")
+    if entries.get("dtype") not in _TYPES:
+        raise InputError(
+            f"{sidecar}: dtype {entries.get('dtype')!r} is not one of {sorted(_TYPES)}"
+        )
+    byte_order = entries.get("byte_order", "little")
+    if byte_order not in ("little", "big"):
+        raise InputError(f"{sidecar}: byte_order {byte_order!r} is neither 'little' nor 'big'")
+    dtype = np.dtype(entries["dtype"]).newbyteorder("<" if byte_order == "little" else ">")
+    shape = entries.get("shape")
+    if not isinstance(shape, list) or not all(type(n) is int for n in shape):
+        raise InputError(f"{sidecar}: shape {shape!r} must be a list of whole numbers")
+    check_array(tuple(shape), dtype, str(sidecar))
+    offset = entries.get("offset", 0)
+    if type(offset) is not int or offset < 0:
+        raise InputError(f"{sidecar}: offset {offset!r} must be a number of bytes")
+    array = FileArray(path, dtype, tuple(shape), offset)
+    if (extra := path.stat().st_size - offset - nbytes(tuple(shape), dtype)) != 0:
+        raise InputError(f"{path}: {extra} bytes more than {sidecar.name} describes")
+    return Source(array, described(entries, str(sidecar)), "mapped")
+
+
+def _sidecar(path: Path) -> Path | None:
+    for suffix in (".toml", ".json"):
+        sidecar = path.with_name(path.name + suffix)
+        if sidecar.is_file():
+            return sidecar
+    return None
+
+
+def _entries(sidecar: Path) -> dict[str, Any]:
+    if sidecar.stat().st_size > 2**16:
+        raise InputError(f"{sidecar}: too large for a sidecar")
+    try:
+        text = sidecar.read_text("utf-8")
+        entries = tomllib.loads(text) if sidecar.suffix == ".toml" else json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{sidecar}: cannot be read ({error})") from error
+    if not isinstance(entries, dict):
+        raise InputError(f"{sidecar}: must be a table of entries")
+    return entries

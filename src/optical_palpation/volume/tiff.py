@@ -1,0 +1,156 @@
+"""TIFF, OME-TIFF and ImageJ stacks.
+
+Pages are taken for B-scans (rows z, columns x), the way OCT software exports them, except in
+OME-TIFF with a Z dimension, whose named dimensions are believed. Resolution tags are trusted only
+where ImageJ or OME metadata name their unit: plain ones
+more often hold a printer's 72 dpi.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .arrays import MAX_BSCAN_BYTES, FileArray, PagedArray, check_array, nbytes
+from .metadata import Stated, parse_xml, to_mm
+from .volume import Source
+
+FORMAT = "TIFF"
+
+_MAGIC = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+# Vendors' multi-page conventions; some follow references to other files.
+_VENDORS = (
+    *("lsm", "mmstack", "ndtiff", "fluoview", "stk", "sis", "svs", "scn", "qpi", "ndpi", "bif"),
+    *("avs", "eer", "philips", "scanimage", "nih", "mdgel", "ome"),
+)
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Tell by the byte-order mark of TIFF or BigTIFF."""
+    return head[:4] in _MAGIC
+
+
+def read(path: Path, variable: str | None) -> Source:
+    """Read the page directories."""
+    import tifffile
+
+    ignored: dict[str, Any] = {f"is_{vendor}": False for vendor in _VENDORS}
+    file = tifffile.TiffFile(path, **ignored)
+    try:
+        return _read(path, file)
+    except BaseException:
+        file.close()
+        raise
+
+
+def page_array(path: Path, file: Any) -> Any:
+    """Array of an open TIFF file's first and only series of pages."""
+    if len(file.series) != 1:
+        shapes = sorted({s.shape for s in file.series})[:5]
+        raise InputError(
+            f"{path}: its pages differ in shape or type ({shapes}); one stack is needed"
+        )
+    (series,) = file.series
+    page = series.keyframe
+    shape, dtype = tuple(series.shape), series.dtype
+    if dtype is None:
+        raise InputError(f"{path}: samples of an unsupported type")
+    if page.samplesperpixel != 1 or page.photometric not in (0, 1):
+        raise InputError(f"{path}: colour images; save the OCT signal in grey")
+    if page.photometric == 0:
+        raise InputError(f"{path}: inverted grey (0 is white); save it with 0 as black")
+    check_array(shape, dtype, str(path))
+    if series.dataoffset is not None and page.is_memmappable:
+        return FileArray(path, dtype.newbyteorder(file.byteorder), shape, series.dataoffset)
+
+    rows, columns = page.shape
+    pages = len(series)
+    if (pages, rows, columns) != (shape if len(shape) == 3 else (1, *shape)):
+        raise InputError(f"{path}: {pages} pages of {page.shape} do not make up {shape}")
+    if nbytes(page.shape, dtype) > MAX_BSCAN_BYTES:
+        raise InputError(f"{path}: pages of {page.shape} samples are too large")
+    for number, single in enumerate(series.pages):
+        _check_segments(path, number, single, page)
+
+    def read_page(index: int) -> NDArray[Any]:
+        return np.asarray(series.pages[index].asarray(maxworkers=1))
+
+    array: Any = PagedArray(read_page, dtype, (pages, rows, columns))
+    return array
+
+
+def _check_segments(path: Path, number: int, single: Any, keyframe: Any) -> None:
+    """Refuse pages whose strips or tiles are missing: tifffile would fill them with zeros."""
+    counts = single.databytecounts if single is not None else ()
+    if not counts or min(counts) <= 0 or min(single.dataoffsets) <= 0:
+        raise InputError(f"{path}: page {number} has no samples: truncated or damaged")
+    end = max(o + n for o, n in zip(single.dataoffsets, counts, strict=True))
+    if end > path.stat().st_size:
+        raise InputError(f"{path}: page {number} lies beyond the end of the file: truncated")
+    if nbytes(keyframe.shape, keyframe.dtype) > 2**24 and sum(counts) * 1000 < nbytes(
+        keyframe.shape, keyframe.dtype
+    ):
+        raise InputError(f"{path}: page {number} is far too small for {keyframe.shape} samples")
+
+
+def _read(path: Path, file: Any) -> Source:
+    array = page_array(path, file)
+    page = file.pages[0]
+    stack = len(array.shape) == 3
+    stated = Stated(axes="yzx" if stack else "zx")
+    description = page.description
+    if "<OME" in description[:2000]:
+        stated = _ome(description, array.shape, str(path))
+    elif file.is_imagej:
+        stated = _imagej(file.imagej_metadata or {}, page, stack, str(path))
+    mapped = isinstance(array, FileArray)
+    return Source(array, stated, "mapped" if mapped else "streamed", file.close)
+
+
+def _ome(description: str, shape: tuple[int, ...], path: str) -> Stated:
+    root = parse_xml(description.encode(), f"{path}: OME-XML")
+    pixels = root.find(".//{*}Pixels")
+    if pixels is None:
+        raise InputError(f"{path}: OME-XML without Pixels")
+
+    def step(axis: str) -> float | None:
+        value = pixels.get(f"PhysicalSize{axis}")
+        if value is None:
+            return None
+        return to_mm(_number(value, path), pixels.get(f"PhysicalSize{axis}Unit", "um"), path)
+
+    if len(shape) == 2:
+        return Stated(axes="zx", spacing=(step("Y"), step("X")))
+    if pixels.get("SizeZ") == str(shape[0]) and shape[0] > 1:
+        return Stated(axes="zyx", spacing=(step("Z"), step("Y"), step("X")))
+    # A series in time or channel: pages are B-scans, their distance is not recorded.
+    return Stated(axes="yzx", spacing=(None, step("Y"), step("X")))
+
+
+def _imagej(metadata: dict[str, Any], page: Any, stack: bool, path: str) -> Stated:
+    axes = "yzx" if stack else "zx"
+    unit = metadata.get("unit")
+    if not isinstance(unit, str) or unit.lower() in ("pixel", "inch"):
+        return Stated(axes=axes)
+
+    def step(tag: str) -> float | None:
+        if tag not in page.tags:
+            return None
+        per_unit, one = page.tags[tag].value
+        return to_mm(one / per_unit, unit, path) if per_unit else None
+
+    rows, columns = step("YResolution"), step("XResolution")
+    distance = metadata.get("spacing")
+    between = None if distance is None else to_mm(_number(distance, path), unit, path)
+    return Stated(axes=axes, spacing=(between, rows, columns) if stack else (rows, columns))
+
+
+def _number(value: Any, path: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{path}: {value!r} is not a length") from None

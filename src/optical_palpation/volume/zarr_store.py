@@ -1,0 +1,116 @@
+"""Zarr stores (v2 and v3) and OME-Zarr images in a folder; needs zarr."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from .arrays import MAX_BSCAN_BYTES, LazyArray, check_array, nbytes, squeezed
+from .metadata import Stated, described, to_mm
+from .numpy_files import pick
+from .volume import Source
+
+FORMAT = "Zarr"
+
+_MARKS = ("zarr.json", ".zarray", ".zgroup")
+# Others exist that unpickle what they decode, which would run code from the file.
+_CODECS = {
+    *("bytes", "transpose", "crc32c", "sharding_indexed", "blosc", "zstd", "gzip", "zlib", "lz4"),
+    *("bz2", "lzma", "shuffle", "delta"),
+}
+_MAX_ARRAYS = 1000
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Tell by Zarr metadata in a folder."""
+    return path.is_dir() and any((path / mark).is_file() for mark in _MARKS)
+
+
+def read(path: Path, variable: str | None) -> Source:
+    """Find the array and what its attributes say."""
+    try:
+        import zarr
+    except ImportError:
+        raise InputError(
+            f"{path}: reading Zarr needs zarr: pip install 'optical-palpation[formats]'"
+        ) from None
+
+    for mark in path.rglob("*"):
+        if mark.name in (*_MARKS, ".zattrs", ".zmetadata") and mark.stat().st_size > 2**20:
+            raise InputError(f"{mark}: metadata of more than 1 MiB")
+    node: Any = zarr.open(str(path), mode="r")
+    stated = Stated()
+    if isinstance(node, zarr.Group):
+        attributes: Any = dict(node.attrs)
+        scales = attributes.get("ome", attributes).get("multiscales")
+        if scales and variable is None:
+            dataset = scales[0]["datasets"][0]
+            array: Any = node[dataset["path"]]
+            stated = _ome(scales[0]["axes"], dataset, array.shape, str(path))
+        else:
+            arrays = dict(_arrays(node, "", path))
+            array = arrays[
+                pick(path, {n: a.shape for n, a in arrays.items()}, variable, list(arrays))
+            ]
+    else:
+        array = node
+    where = f"{path}: {array.path or 'array'}"
+    if not isinstance(array, zarr.Array):
+        raise InputError(f"{where} is not an array")
+    if stated == Stated():
+        stated = described(dict(array.attrs), where)
+    _check_codecs(array.metadata.to_dict(), where)
+    view = squeezed(LazyArray(array, array.chunks))
+    check_array(view.shape, view.dtype, where)
+    if nbytes(array.chunks, view.dtype) > MAX_BSCAN_BYTES:
+        raise InputError(f"{where} has chunks of {array.chunks} samples: too large to read")
+    if array.nchunks_initialized == 0:
+        raise InputError(f"{where} has no samples stored")
+    return Source(view, stated, "streamed")
+
+
+def _arrays(group: Any, prefix: str, path: Path) -> list[tuple[str, Any]]:
+    found = []
+    for name, member in group.members(max_depth=3):
+        found.append((prefix + name, member))
+        if len(found) > _MAX_ARRAYS:
+            raise InputError(f"{path}: holds more than {_MAX_ARRAYS} arrays")
+    return [(name, member) for name, member in found if hasattr(member, "chunks")]
+
+
+def _check_codecs(metadata: Any, where: str) -> None:
+    """Allow known codecs only, at any depth (shards hold codecs of their own)."""
+    if isinstance(metadata, dict):
+        for key in ("codecs", "index_codecs", "filters"):
+            for codec in metadata.get(key) or ():
+                _check_codec(codec, where)
+        if metadata.get("compressor"):
+            _check_codec(metadata["compressor"], where)
+
+
+def _check_codec(codec: Any, where: str) -> None:
+    entries = codec if isinstance(codec, dict) else codec.get_config()
+    name = entries.get("name") or entries.get("id")
+    if name not in _CODECS:
+        raise InputError(f"{where} is coded by {name!r}; known: {', '.join(sorted(_CODECS))}")
+    _check_codecs(entries.get("configuration"), where)
+
+
+def _ome(axes: Any, dataset: Any, shape: tuple[int, ...], where: str) -> Stated:
+    """Axes and scale of an OME-Zarr image, without its time and channel axes of length one."""
+    factors: Any = [1.0] * len(shape)
+    for transform in dataset.get("coordinateTransformations", ()):
+        if transform.get("type") == "scale":
+            factors = np.asarray(transform["scale"], float).tolist()
+    if not len(axes) == len(factors) == len(shape):
+        raise InputError(f"{where}: {len(axes)} named axes for an array of shape {shape}")
+    kept = [i for i, axis in enumerate(axes) if axis["name"] in ("z", "y", "x")]
+    if any(shape[i] != 1 for i in range(len(shape)) if i not in kept):
+        raise InputError(f"{where}: holds several channels or times {shape}, not one volume")
+    spacing = [
+        to_mm(factors[i], axes[i]["unit"], where) if axes[i].get("unit") else None for i in kept
+    ]
+    return Stated(axes="".join(axes[i]["name"] for i in kept), spacing=tuple(spacing))
