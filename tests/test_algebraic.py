@@ -71,6 +71,14 @@ def test_beyond_the_layer_there_is_no_stress():
     assert stress.attrs["no_contact_share"] == 0
 
 
+def test_crop_and_order_of_axes_do_not_change_a_pixel():
+    loaded = thickness_map(np.linspace(0.3, 0.5, 20).reshape(4, 5), pixel_spacing=(1.0, 1.0))
+    whole = algebraic_stress(loaded, 0.51, LAYER)
+    part = {"x": slice(1, 3), "y": slice(0, 2)}
+    xr.testing.assert_equal(algebraic_stress(loaded.sel(part), 0.51, LAYER), whole.sel(part))
+    xr.testing.assert_equal(algebraic_stress(loaded.T[::-1], 0.51, LAYER), whole)
+
+
 def test_coin_within_a_tenth_of_a_second(shared_data):
     path = shared_data / "layers" / "coin_5c_1-thickness.mat"
     coin = read_thickness_map(path, field_of_view=(5, 5))

@@ -14,7 +14,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from optical_palpation.errors import InputError
-from optical_palpation.thickness import read_thickness_map, thickness_map
+from optical_palpation.thickness import (
+    clean_thickness,
+    match_initial_thickness,
+    read_thickness_map,
+    thickness_map,
+)
 from test_thickness_maps import WRITERS, write_matlab_73
 
 GOOD = np.linspace(0.4, 0.5, 12).reshape(3, 4)
@@ -40,6 +45,8 @@ def test_no_usable_file(tmp_path):
     expect(tmp_path / "image.png", "no format", "89 50 4e 47")
     (tmp_path / "latin.csv").write_bytes("0.4;0.5 µm".encode("latin-1"))
     expect(tmp_path / "latin.csv", "UTF-8")
+    os.mkfifo(tmp_path / "pipe")
+    expect(tmp_path / "pipe", "no regular file")
     with pytest.raises(InputError):
         read("nul\0byte.mat")
 
@@ -171,6 +178,19 @@ def test_lateral_frame_missing_or_contradicting(tmp_path):
     expect(path, "x coordinates must be finite", field_of_view=None)
     np.savez(path, L1=GOOD, x=x, x_mm=x, y=y)
     expect(path, "several coordinates along x", field_of_view=None)
+
+
+def test_maps_made_by_hand_need_a_frame():
+    bare = xr.DataArray(GOOD, dims=("y", "x"))
+    for use in (clean_thickness, lambda map_: match_initial_thickness(0.5, map_)):
+        with pytest.raises(InputError, match="Make one of an array with thickness_map"):
+            use(bare)
+        with pytest.raises(InputError, match="rise or fall"):
+            use(bare.assign_coords(x=[0, 1, 1, 2], y=[0, 1, 2]))
+    with pytest.raises(InputError, match="x coordinates are no numbers"):
+        thickness_map(GOOD, x=list("abcd"), y=[0, 1, 2])
+    with pytest.raises(InputError, match="5 x coordinates for 4 pixels"):
+        thickness_map(GOOD, x=np.arange(5), y=[0, 1, 2])
 
 
 def test_layer_extent_outside_the_map_or_inside_out():

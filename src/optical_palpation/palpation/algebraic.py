@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from optical_palpation.errors import InputError, MaterialError
+from optical_palpation.errors import MaterialError
 from optical_palpation.material import MooneyRivlin, stable_stretches
-from optical_palpation.thickness.frames import inside_layer
+from optical_palpation.thickness.frames import inside_layer, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
 
 
@@ -41,13 +41,11 @@ def algebraic_stress(
     Raises
     ------
     InputError
-        If a loaded thickness is not positive, or loaded and initial thickness do not fit together.
+        If loaded and initial thickness are no thicknesses or do not fit together.
     MaterialError
         If a pixel is compressed beyond the strain up to which the material is stable.
     """
-    loaded = loaded.transpose("y", "x")
-    if np.any(loaded.values <= 0.0) or np.any(np.isinf(loaded.values)):
-        raise InputError("the loaded thickness must be positive and finite (NaN where missing)")
+    loaded = on_grid(loaded)
     initial = match_initial_thickness(initial_thickness, loaded)
     stretch = np.where(inside_layer(loaded), loaded.values / initial.values, np.nan)
     # Out of contact the layer bears nothing: the map shows the gap, not a stretched layer.

@@ -9,6 +9,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
 from optical_palpation.errors import InputError
+from optical_palpation.thickness.frames import on_grid
 
 # A spike stands out of the range of its neighbours by this many times that range. For the nine
 # values together this is Dixon's ratio 0.75, far beyond the 1 % critical value.
@@ -48,11 +49,9 @@ def clean_thickness(thickness: xr.DataArray) -> xr.Dataset:
     Raises
     ------
     InputError
-        If the map is not two-dimensional on ``(y, x)``, or all of it is missing.
+        If the map is not on ``(y, x)`` with coordinates, or all of it is missing.
     """
-    if set(thickness.dims) != {"y", "x"}:
-        raise InputError(f"a thickness map has the dimensions (y, x), not {thickness.dims}")
-    thickness = thickness.transpose("y", "x")
+    thickness = on_grid(thickness)
     values = thickness.values.astype(np.float64)
     missing = ~np.isfinite(values)
     if missing.all():
@@ -73,6 +72,10 @@ def clean_thickness(thickness: xr.DataArray) -> xr.Dataset:
             "missing_share": float(missing.mean()),
             "spike_share": float(spikes.mean()),
             "filled_share": float(filled.mean()),
+            "spike_rule": (
+                f"outside the range of the 8 neighbours by more than {_SPIKE_RANGES:g} times that "
+                f"range and {_SPIKE_SHARE:g} of the median thickness"
+            ),
         },
     )
 

@@ -53,6 +53,8 @@ def read_variables(path: Path) -> dict[str, Variable]:
             raise InputError(f"{path} is a directory; give one file ({FORMATS})")
         if not path.exists():
             raise InputError(f"{path}: no such file")
+        if not path.is_file():
+            raise InputError(f"{path} is no regular file")
         with path.open("rb") as file:
             head = file.read(4096)
     except (OSError, ValueError) as error:

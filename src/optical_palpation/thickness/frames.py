@@ -78,10 +78,25 @@ def thickness_map(
 
 
 def layer_extent_of(thickness: xr.DataArray) -> tuple[float, float, float, float]:
-    """Return (x0, x1, y0, y1) of the layer in mm: attribute ``layer_extent``, or the whole map."""
+    """Return (x0, x1, y0, y1) of the layer in mm: the part of ``layer_extent`` inside the map."""
     x, y = thickness["x"].values, thickness["y"].values
-    x0, x1, y0, y1 = map(float, thickness.attrs.get("layer_extent", (x[0], x[-1], y[0], y[-1])))
-    return x0, x1, y0, y1
+    whole = [float(edge) for edge in (x[0], x[-1], y[0], y[-1])]
+    x0, x1, y0, y1 = map(float, thickness.attrs.get("layer_extent", whole))
+    # A map that was cropped after reading still has the attribute of the whole one.
+    return max(x0, whole[0]), min(x1, whole[1]), max(y0, whole[2]), min(y1, whole[3])
+
+
+def on_grid(thickness: xr.DataArray) -> xr.DataArray:
+    """Return the map on ``(y, x)``, or raise an InputError if it lacks that frame."""
+    if set(thickness.dims) != {"y", "x"} or not {"y", "x"} <= set(thickness.coords):
+        raise InputError(
+            f"a thickness map has the dimensions (y, x) with coordinates in mm; found dimensions "
+            f"{thickness.dims} with coordinates {tuple(thickness.coords)}. Make one of an array "
+            "with thickness_map"
+        )
+    for axis in ("x", "y"):
+        _ascending(thickness[axis].values, axis, thickness.sizes[axis], "thickness map")
+    return thickness.transpose("y", "x").sortby(["y", "x"])
 
 
 def inside_layer(thickness: xr.DataArray) -> NDArray[np.bool_]:
@@ -127,7 +142,10 @@ def checked_values(values: ArrayLike, where: str) -> NDArray[np.float64]:
 
 
 def _ascending(given: ArrayLike, axis: str, count: int, where: str) -> NDArray[np.float64]:
-    positions = np.asarray(given, dtype=np.float64)
+    try:
+        positions = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: the {axis} coordinates are no numbers") from None
     if positions.shape != (count,):
         raise InputError(f"{where}: {positions.size} {axis} coordinates for {count} pixels")
     steps = np.diff(positions)

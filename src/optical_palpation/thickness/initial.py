@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.errors import InputError
-from optical_palpation.thickness.frames import inside_layer, layer_extent_of
+from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 
 # Median loaded over initial thickness outside this range is no compression but a wrong unit.
 _PLAUSIBLE_RATIO = (0.01, 100.0)
@@ -36,9 +36,12 @@ def match_initial_thickness(initial: float | xr.DataArray, loaded: xr.DataArray)
     Raises
     ------
     InputError
-        If `initial` is not positive and finite or does not cover the layer, if the two differ so
-        much that a unit must be wrong, or if no pixel of the layer is compressed.
+        If a thickness is not positive and finite, if `initial` does not cover the layer, if the
+        two differ so much that a unit must be wrong, or if no pixel of the layer is compressed.
     """
+    loaded = on_grid(loaded)
+    if np.any(loaded.values <= 0.0) or np.any(np.isinf(loaded.values)):
+        raise InputError("the loaded thickness must be positive and finite (NaN where missing)")
     inside = inside_layer(loaded)
     if isinstance(initial, xr.DataArray):
         values = _interpolated(initial, loaded)
@@ -75,6 +78,7 @@ def match_initial_thickness(initial: float | xr.DataArray, loaded: xr.DataArray)
 
 
 def _interpolated(initial: xr.DataArray, loaded: xr.DataArray) -> NDArray[np.float64]:
+    initial = on_grid(initial)
     x, y = initial["x"].values, initial["y"].values
     extent = layer_extent_of(loaded)
     slack = 1e-6 * max(extent[1] - extent[0], extent[3] - extent[2])
@@ -90,7 +94,7 @@ def _interpolated(initial: xr.DataArray, loaded: xr.DataArray) -> NDArray[np.flo
         "x": np.clip(loaded["x"].values, x[0], x[-1]),
         "y": np.clip(loaded["y"].values, y[0], y[-1]),
     }
-    return initial.transpose("y", "x").interp(at).values
+    return initial.interp(at).values
 
 
 def _check_units(loaded: xr.DataArray, loaded_median: float, initial_median: float) -> None:

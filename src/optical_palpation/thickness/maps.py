@@ -117,7 +117,11 @@ def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.Pat
     """
     path = Path(path)
     dataset = thickness.to_dataset() if isinstance(thickness, xr.DataArray) else thickness.copy()
-    dataset.attrs["software"] = f"optical-palpation {version('optical-palpation')}"
+    dataset.attrs |= {
+        "software": "optical-palpation",
+        "software_version": version("optical-palpation"),
+        "axis_order": "(y, x)",
+    }
     encoding = {name: {"zlib": True} for name in dataset.data_vars}
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
