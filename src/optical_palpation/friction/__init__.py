@@ -1,1 +1,12 @@
+"""Friction at the window from phase-sensitive OCT (section 4 of the paper)."""
 
+from optical_palpation.friction.estimate import FrictionEstimate, estimate_friction, read_profile
+from optical_palpation.friction.phase import axial_strain, displacement_profile
+
+__all__ = [
+    "FrictionEstimate",
+    "axial_strain",
+    "displacement_profile",
+    "estimate_friction",
+    "read_profile",
+]

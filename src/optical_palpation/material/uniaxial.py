@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from optical_palpation.analysis.regression import parameter_covariance
+from optical_palpation.regression import parameter_covariance
 from optical_palpation.errors import InputError
 
 Measure = Literal["engineering", "true"]

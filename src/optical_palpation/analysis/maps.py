@@ -1,0 +1,37 @@
+"""Checks that every analysis of a map shares."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.errors import InputError
+
+
+def check_map(field: xr.DataArray, name: str) -> xr.DataArray:
+    """Return the map as floats on ``(y, x)``, coordinates increasing and evenly spaced.
+
+    Raises
+    ------
+    InputError
+        If it is no such map, is smaller than 3 x 3, or holds no finite value.
+    """
+    if not isinstance(field, xr.DataArray) or set(field.dims) != {"y", "x"}:
+        dims = field.dims if isinstance(field, xr.DataArray) else type(field).__name__
+        raise InputError(f"{name}: needs a DataArray over y and x, got {dims}")
+    field = field.transpose("y", "x").astype(np.float64)
+    for axis in ("y", "x"):
+        if axis not in field.coords or field.sizes[axis] < 3:
+            raise InputError(f"{name}: needs at least 3 points with coordinates in mm along {axis}")
+        steps = np.diff(field[axis].values)
+        if not np.all(steps > 0.0) or np.ptp(steps) > 1e-3 * steps.mean():
+            raise InputError(f"{name}: coordinates along {axis} must increase in equal steps")
+    if not np.isfinite(field.values).any():
+        raise InputError(f"{name}: holds no finite value")
+    return field
+
+
+def pixel_size(field: xr.DataArray) -> tuple[float, float]:
+    """Pixel spacing (y, x) in mm."""
+    y, x = field["y"].values, field["x"].values
+    return float(y[-1] - y[0]) / (y.size - 1), float(x[-1] - x[0]) / (x.size - 1)

@@ -1,0 +1,242 @@
+"""Friction coefficient from a displacement profile and calibration curves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.optimize import brentq, minimize_scalar
+from scipy.stats import t as student_t
+
+from optical_palpation.regression import independent_points
+from optical_palpation.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FrictionEstimate:
+    """Coefficient of friction at the window, and how well the profile determines it.
+
+    Attributes
+    ----------
+    coefficient
+        Best fit within the calibrated range.
+    interval
+        95 % confidence interval, cut off at the ends of the calibrated range. Errors of the
+        calibration itself (material, thickness, friction at the sample) are not in it.
+    at_limit
+        Whether the best fit is an end of the calibrated range: the coefficient is then a bound.
+    step
+        Displacement at the sample side, in the profile's unit.
+    offset
+        Displacement at the window, in the profile's unit; 0 unless it was fitted.
+    residual
+        Root mean square misfit relative to `step`.
+    profile
+        Over ``depth``: ``measured`` and ``fitted`` displacement and, if it was given,
+        ``standard_error``, all relative to the step.
+    """
+
+    coefficient: float
+    interval: tuple[float, float]
+    at_limit: bool
+    step: float
+    offset: float
+    residual: float
+    profile: xr.Dataset
+
+
+def estimate_friction(
+    profile: xr.Dataset, calibration: xr.DataArray, *, fit_offset: bool = False
+) -> FrictionEstimate:
+    """Find the calibration curve that a measured profile follows (section 4 of the paper).
+
+    The profile is fitted by ``step * curve(depth; friction)``, points weighted by their standard
+    errors; scaling by a fitted step instead of by the last point keeps that point's noise out of
+    all others. Between calibrated coefficients curves are interpolated monotonically. The interval
+    is that of the profile likelihood, widened for correlated residuals.
+
+    Parameters
+    ----------
+    profile
+        ``displacement`` over ``depth`` (fraction of the loaded layer, 0 at the window), any unit,
+        and optionally ``standard_error``; see :func:`displacement_profile` and
+        :func:`read_profile`.
+    calibration
+        Normalised incremental displacement over ``friction`` and ``depth`` (fractions).
+    fit_offset
+        Whether the displacement at the window is unknown too. Not needed if the window is the
+        reference of the interferometer.
+
+    Raises
+    ------
+    InputError
+        If profile and calibration are unusable or do not overlap.
+    """
+    friction, curves = _curves(calibration)
+    depth, measured, error = _points(profile)
+    shape = PchipInterpolator(friction, curves(depth), axis=0)
+
+    def fit(mu: float) -> tuple[float, NDArray[np.floating], Array]:
+        design = np.column_stack([shape(mu), np.ones_like(depth)])[:, : 1 + fit_offset]
+        weighted = design / error[:, None]
+        coefficients, *_ = np.linalg.lstsq(weighted, measured / error, rcond=None)
+        residual = (design @ coefficients - measured) / error
+        return float(residual @ residual), coefficients, np.asarray(residual, dtype=np.float64)
+
+    low, high = float(friction[0]), float(friction[-1])
+    grid = np.linspace(low, high, 201)
+    misfit = np.array([fit(mu)[0] for mu in grid])
+    k = int(np.argmin(misfit))
+    bracket = grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]
+    best = minimize_scalar(
+        lambda mu: fit(mu)[0], bounds=bracket, method="bounded", options={"xatol": 1e-7}
+    )
+    mu = float(best.x) if best.fun < misfit[k] else float(grid[k])
+    smallest, coefficients, residual = fit(mu)
+
+    parameters = 2 + fit_offset
+    independent = independent_points(residual, parameters)
+    quantile = float(student_t.ppf(0.975, independent - parameters))
+    variance = smallest / (depth.size - parameters) * depth.size / independent
+    threshold = smallest + quantile**2 * variance
+
+    def excess(value: float) -> float:
+        return fit(value)[0] - threshold
+
+    step = float(coefficients[0])
+    if not step > 0.0 and not step < 0.0:
+        raise InputError("the profile shows no displacement at all; was there a step?")
+    offset = float(coefficients[1]) if fit_offset else 0.0
+    relative = xr.Dataset(
+        {
+            "measured": ("depth", (measured - offset) / step),
+            "fitted": ("depth", shape(mu)),
+            "standard_error": (
+                "depth",
+                error / abs(step) if "standard_error" in profile else np.full(depth.shape, np.nan),
+            ),
+        },
+        coords={"depth": depth},
+    )
+    return FrictionEstimate(
+        coefficient=mu,
+        interval=(
+            low if excess(low) <= 0.0 else float(brentq(excess, low, mu)),
+            high if excess(high) <= 0.0 else float(brentq(excess, mu, high)),
+        ),
+        at_limit=min(mu - low, high - mu) < 1e-3 * (high - low),
+        step=step,
+        offset=offset,
+        residual=float(np.sqrt(np.mean((relative["measured"] - relative["fitted"]) ** 2))),
+        profile=relative,
+    )
+
+
+def read_profile(path: str | Path, thickness: float | None = None) -> xr.Dataset:
+    """Read a displacement profile from a CSV of depth, displacement and, if known, its error.
+
+    Columns are found by name: *depth*, *displacement*, *error* (or *std*, *sd*). Depth is a
+    fraction of the loaded layer from the window, or mm if `thickness` is given. Displacements may
+    have any unit; errors must have the same.
+
+    Parameters
+    ----------
+    path
+        The file.
+    thickness
+        Loaded thickness of the layer in mm, if depth is in mm.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, columns are missing, or values are no numbers.
+    """
+    path = Path(path)
+    try:
+        table = pd.read_csv(path, comment="#", encoding="utf-8-sig")
+    except (
+        OSError,
+        UnicodeDecodeError,
+        pd.errors.ParserError,
+        pd.errors.EmptyDataError,
+    ) as problem:
+        raise InputError(f"{path}: cannot be read as a table ({problem})") from None
+    names = {str(name).lower(): name for name in table.columns}
+    columns: dict[str, Array] = {}
+    for key, hints in (
+        ("depth", ("depth",)),
+        ("standard_error", ("error", "std", "sd")),
+        ("displacement", ("displacement",)),
+    ):
+        found = next((n for n in names if any(h in n for h in hints)), None)
+        if found is None:
+            if key == "standard_error":
+                continue
+            raise InputError(
+                f"{path}: no column for the {key}; the table has: {', '.join(map(str, names))}"
+            )
+        values = pd.to_numeric(table[names.pop(found)], errors="coerce").to_numpy(np.float64)
+        if not np.isfinite(values).all():
+            row = int(np.argmin(np.isfinite(values)))
+            raise InputError(f"{path}: column {found!r}, data row {row + 1} is not a number")
+        columns[key] = values
+    if thickness is not None:
+        if not thickness > 0.0:
+            raise InputError(f"thickness = {thickness}: must be positive, in mm")
+        columns["depth"] = columns["depth"] / thickness
+    if columns["depth"].size and (
+        columns["depth"].min() < -1e-9 or columns["depth"].max() > 1.0 + 1e-9
+    ):
+        raise InputError(
+            f"{path}: depth runs from {columns['depth'].min():g} to {columns['depth'].max():g} of "
+            "the layer, but must lie within 0 and 1; give the loaded thickness if it is in mm"
+        )
+    depth = columns.pop("depth")
+    return xr.Dataset({k: ("depth", v) for k, v in columns.items()}, coords={"depth": depth})
+
+
+def _curves(calibration: xr.DataArray) -> tuple[Array, PchipInterpolator]:
+    """Return the calibrated coefficients and their curves as functions of depth."""
+    if set(calibration.dims) != {"friction", "depth"}:
+        raise InputError(
+            f"calibration has dimensions {calibration.dims}, it needs 'friction' and 'depth'"
+        )
+    curves = calibration.transpose("friction", "depth").sortby(["friction", "depth"])
+    friction, depth = (curves[d].values.astype(np.float64) for d in ("friction", "depth"))
+    if friction.size < 2 or depth.size < 3 or not np.isfinite(curves.values).all():
+        raise InputError(
+            f"calibration of {friction.size} coefficients at {depth.size} depths: at least 2 and 3 "
+            "finite ones are needed"
+        )
+    if np.any(np.diff(friction) <= 0.0) or np.any(np.diff(depth) <= 0.0):
+        raise InputError("calibration: coefficients and depths must all be different")
+    return friction, PchipInterpolator(depth, curves.values.astype(np.float64), axis=1)
+
+
+def _points(profile: xr.Dataset) -> tuple[Array, Array, Array]:
+    """Depth, displacement and standard error (1 where none is given), checked."""
+    if "displacement" not in profile or profile["displacement"].dims != ("depth",):
+        raise InputError("a profile needs the variable 'displacement' over 'depth'")
+    profile = profile.sortby("depth")
+    depth = profile["depth"].values.astype(np.float64)
+    measured = profile["displacement"].values.astype(np.float64)
+    error = np.ones_like(depth)
+    if "standard_error" in profile:
+        error = profile["standard_error"].values.astype(np.float64)
+    if not (np.isfinite(depth).all() and np.isfinite(measured).all() and np.isfinite(error).all()):
+        raise InputError("a profile must be finite; leave out what is missing")
+    if depth.size < 6 or depth[0] < 0.0 or depth[-1] > 1.0 or np.ptp(depth) < 0.3:
+        raise InputError(
+            f"a profile needs at least 6 depths within 0 and 1 that span a third of the layer; "
+            f"got {depth.size}, from {depth.min():g} to {depth.max():g}"
+        )
+    if not np.all(error > 0.0):
+        raise InputError("standard errors of a profile must be positive")
+    return depth, measured, error
