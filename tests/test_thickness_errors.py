@@ -134,6 +134,29 @@ def test_types_that_only_some_formats_have(tmp_path):
     expect(tmp_path / "map.npy", "Object arrays")
 
 
+def test_type_codes_that_no_matlab_file_has(tmp_path):
+    """SciPy's reader would take the whole process down."""
+    path = tmp_path / "v5.mat"
+    scipy.io.savemat(path, {"L1": GOOD})
+    content = path.read_bytes()
+    doubles = struct.pack("<2I", 9, GOOD.nbytes)
+    assert content.count(doubles) == 1
+    for code in (8, 10, 19, 200, 65535):
+        path.write_bytes(content.replace(doubles, struct.pack("<2I", code, GOOD.nbytes)))
+        expect(path, "unknown type")
+
+
+def test_damaged_tiff_is_reported_once(tmp_path, caplog):
+    path = tmp_path / "map.tif"
+    strips = np.random.default_rng(0).uniform(0.4, 0.5, (300, 200)).astype("f4")
+    tifffile.imwrite(path, strips, compression="zlib", rowsperstrip=10)
+    whole = path.read_bytes()
+    for share in (0.3, 0.9):
+        path.write_bytes(whole[: int(share * len(whole))])
+        expect(path)
+    assert not caplog.records
+
+
 def test_choice_of_variable(tmp_path):
     np.savez(tmp_path / "two.npz", L0=GOOD, L1=GOOD)
     expect(tmp_path / "two.npz", "more than one", "L0 (3 x 4 float64), L1 (3 x 4 float64)")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import logging
+import struct
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,12 +109,41 @@ def _reader_for(head: bytes) -> Callable[[Path], dict[str, Variable]] | None:
 def _read_matlab_5(path: Path) -> dict[str, Variable]:
     from scipy.io import loadmat
 
+    content = path.read_bytes()
+    _check_matlab_elements(content[128:], "<" if content[126:128] == b"IM" else ">")
     contents = loadmat(path, appendmat=False)
     return {
         name: Variable(values)
         for name, values in contents.items()
         if isinstance(values, np.ndarray) and not name.startswith("__")
     }
+
+
+def _check_matlab_elements(content: bytes, order: str) -> None:
+    """Raise ValueError unless the elements of a MATLAB 5 file have known types and fit in it.
+
+    SciPy's compiled reader trusts both, and takes the whole process down where they are wrong.
+    """
+    position = 0
+    while position < len(content):
+        kind, size = struct.unpack_from(f"{order}2I", content, position)
+        start = position + 8
+        position = start + size + -size % 8
+        room = len(content) - start
+        if kind >> 16:  # a small element: size, type and up to four bytes of data in eight bytes
+            kind, size, room = kind & 0xFFFF, kind >> 16, 4
+            position = start
+        if kind not in _MATLAB_TYPES or size > room:
+            raise ValueError("an element has an unknown type or reaches beyond the end")
+        if kind == _MATLAB_COMPRESSED:  # the only elements that are not padded
+            _check_matlab_elements(zlib.decompress(content[start : start + size]), order)
+            position = start + size
+        elif kind == _MATLAB_MATRIX:
+            _check_matlab_elements(content[start : start + size], order)
+
+
+_MATLAB_MATRIX, _MATLAB_COMPRESSED = 14, 15
+_MATLAB_TYPES = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, _MATLAB_MATRIX, _MATLAB_COMPRESSED, 16, 17, 18}
 
 
 def _read_matlab_73(path: Path) -> dict[str, Variable]:
@@ -216,7 +248,12 @@ def _read_npz(path: Path) -> dict[str, Variable]:
 def _read_tiff(path: Path) -> dict[str, Variable]:
     import tifffile
 
-    return {"": Variable(np.asarray(tifffile.imread(path)))}
+    log = logging.getLogger("tifffile")
+    disabled, log.disabled = log.disabled, True  # it reports damage there, too
+    try:
+        return {"": Variable(np.asarray(tifffile.imread(path)))}
+    finally:
+        log.disabled = disabled
 
 
 def _read_text(path: Path) -> dict[str, Variable]:
