@@ -140,8 +140,8 @@ def test_initial_map_must_cover_the_layer_but_not_the_map():
         (flat(0.4, 0.4), 0.0, "positive and finite"),
         (flat(0.4, 0.4), -0.5, "positive and finite"),
         (flat(0.4, 0.4), float("nan"), "positive and finite"),
-        (flat(0.4, 0.4), "thick", "no number"),
-        (flat(0.4, 0.4), None, "no number"),
+        (flat(0.4, 0.4), "thick", "not str 'thick'"),
+        (flat(0.4, 0.4), None, "not NoneType"),
         (flat(0.4, 0.4), flat(0.5, np.nan, 0.5), "clean_thickness"),
         (
             flat(0.4, np.nan, np.nan, layer_extent=(2.5, 5, 0, 5), field_of_view=(5, 5)),

@@ -241,6 +241,18 @@ def test_matlab_coordinates_as_row_and_column_vectors(tmp_path):
         np.testing.assert_allclose(result.y, [0.005, 0.006])
 
 
+def test_coordinates_as_meshgrids(tmp_path):
+    values = np.arange(1.0, 7.0).reshape(2, 3)
+    x, y = np.meshgrid([0.0, 10.0, 20.0], [5.0, 6.0])
+    scipy.io.savemat(tmp_path / "map.mat", {"L1": values, "X_um": x, "Y_um": y})
+    result = read_thickness_map(tmp_path / "map.mat")
+    np.testing.assert_allclose(result.x, [0.0, 0.01, 0.02])
+    np.testing.assert_allclose(result.y, [0.005, 0.006])
+    scipy.io.savemat(tmp_path / "turned.mat", {"L1": values, "X_um": x + y, "Y_um": y})
+    with pytest.raises(InputError, match="variable X_um should hold the x coordinates"):
+        read_thickness_map(tmp_path / "turned.mat")
+
+
 def test_variable_is_found_among_others_that_cannot_be_a_map(tmp_path):
     values = np.full((3, 4), 0.4)
     np.savez(

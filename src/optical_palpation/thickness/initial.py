@@ -49,7 +49,10 @@ def match_initial_thickness(initial: float | xr.DataArray, loaded: xr.DataArray)
         try:
             values = np.full(loaded.shape, float(initial))
         except (TypeError, ValueError):
-            raise InputError(f"initial thickness {initial!r} is no number of mm") from None
+            raise InputError(
+                "the initial thickness must be a number of mm or a map, not "
+                f"{type(initial).__name__} {str(initial)[:40]!r}"
+            ) from None
     if not np.all(np.isfinite(values)) or np.any(values <= 0.0):
         raise InputError(
             f"initial thickness must be positive and finite, found {values.min():g} to "

@@ -125,7 +125,8 @@ def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.Pat
     encoding = {name: {"zlib": True} for name in dataset.data_vars}
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
-        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
+        # By way of memory, because HDF5 may crash on a disk that fills up under it.
+        temporary.write_bytes(dataset.to_netcdf(engine="h5netcdf", encoding=encoding))
         os.replace(temporary, path)
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
@@ -149,7 +150,10 @@ def _choose(variables: dict[str, Variable], wanted: str | None, path: Path) -> s
     fitting = [
         name
         for name, array in variables.items()
-        if array.values.ndim == 2 and array.values.dtype.kind == "f" and min(array.values.shape) > 1
+        if array.values.ndim == 2
+        and array.values.dtype.kind == "f"
+        and min(array.values.shape) > 1
+        and _axis(name) not in ("x", "y")
     ]
     if len(fitting) != 1:
         problem = "more than one array that can be" if fitting else "no array that can be"
@@ -207,13 +211,17 @@ def _coordinate(
     if len(own) > 1:
         raise InputError(f"{path} has several coordinates along {axis}: {', '.join(own)}")
     array = variables[own[0]]
-    vector = array.values.squeeze()
     count = shape["yx".index(axis)]
+    vector = array.values.squeeze()
+    if vector.shape == shape:  # a coordinate of every pixel, as meshgrid makes them
+        grid = vector if axis == "x" else vector.T
+        vector = grid[0] if np.array_equal(grid, np.broadcast_to(grid[0], grid.shape)) else grid
     if vector.shape != (count,) or vector.dtype.kind not in "fiu":
         raise InputError(
             f"{where} should hold the {axis} coordinates of {count} pixels (the map has "
             f"{shape[0]} rows along y and {shape[1]} columns along x), but its shape is "
-            f"{array.values.shape} and its type {array.values.dtype}"
+            f"{array.values.shape} and its type {array.values.dtype}. If it is something else, "
+            "store the map in a file of its own"
         )
     unit = _length_unit(own[0], array.unit, None, where) or "mm"
     return vector.astype(np.float64) * _FACTORS[unit]
