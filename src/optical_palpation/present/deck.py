@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Literal, TextIO
@@ -14,6 +16,7 @@ from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem
 from optical_palpation.present.output import atomic
 
 Array = NDArray[np.float64]
+Labels = NDArray[np.int_]
 
 # Nodes of a brick on a lattice that counts half elements, offsets (x, y, z) in the order of both
 # codes: eight corners, then the middles of the bottom, the top and the upright edges.
@@ -23,37 +26,40 @@ _CORNERS = [(i, j, k) for k in (0, 2) for i, j in _RING]
 _MIDDLES = [(i, j, k) for k in (0, 2) for i, j in _SIDES] + [(i, j, 1) for i, j in _RING]
 
 
+@dataclass(frozen=True)
 class _Bricks:
-    """Nodes and elements of a structured block of bricks, numbered from 1 or after another block.
+    """Nodes and elements of a structured block of bricks.
 
-    ``lattice`` holds positions at corners, edge middles and centres: (3, 2nz+1, 2ny+1, 2nx+1).
+    ``labels`` holds the node numbers on the lattice, (2nz+1, 2ny+1, 2nx+1), 0 where there is none;
+    ``positions`` is (3, nodes), ``connectivity`` (elements, 8 or 20).
     """
 
-    def __init__(self, lattice: Array, quadratic: bool, after: _Bricks | None = None) -> None:
-        odd = sum(index % 2 for index in np.indices(lattice.shape[1:]))
-        used = odd <= (1 if quadratic else 0)
-        start = after.nodes[-1] + 1 if after else 1
-        labels = np.zeros(used.shape, int)
-        labels[used] = np.arange(start, start + used.sum())
-        self.labels = labels
-        self.nodes = labels[used]
-        self.positions = lattice[:, used]
-        nz, ny, nx = ((n - 1) // 2 for n in used.shape)
-        offsets = _CORNERS + (_MIDDLES if quadratic else [])
-        corner = [
-            labels[k : k + 2 * nz - 1 : 2, j : j + 2 * ny - 1 : 2, i : i + 2 * nx - 1 : 2].ravel()
-            for i, j, k in offsets
-        ]
-        self.connectivity = np.stack(corner, axis=1)
-        first = after.elements[-1] + 1 if after else 1
-        self.elements = np.arange(first, first + nz * ny * nx)
-        layers = self.elements.reshape(nz, -1)
-        self.bottom, self.top = layers[0], layers[-1]
+    labels: Labels
+    nodes: Labels
+    positions: Array
+    elements: Labels
+    connectivity: Labels
 
-    def face_nodes(self, *face: slice | int) -> NDArray[np.int_]:
-        """Labels of the nodes on part of the lattice."""
-        labels = self.labels[face]
-        return labels[labels > 0]
+
+def _bricks(lattice: Array, quadratic: bool, after: _Bricks | None = None) -> _Bricks:
+    """Give numbers to nodes and elements of a block, from 1 or where another block ends.
+
+    ``lattice`` holds the positions of corners, edge middles and centres, (3, 2nz+1, 2ny+1, 2nx+1).
+    """
+    odd = np.sum([index % 2 for index in np.indices(lattice.shape[1:])], axis=0)
+    used = odd <= (1 if quadratic else 0)
+    nodes = np.arange(used.sum()) + (after.nodes[-1] + 1 if after else 1)
+    labels = np.zeros(used.shape, int)
+    labels[used] = nodes
+    connectivity = np.stack(
+        [
+            labels[k : k - 2 or None : 2, j : j - 2 or None : 2, i : i - 2 or None : 2].ravel()
+            for i, j, k in _CORNERS + (_MIDDLES if quadratic else [])
+        ],
+        axis=1,
+    )
+    elements = np.arange(len(connectivity)) + (after.elements[-1] + 1 if after else 1)
+    return _Bricks(labels, nodes, lattice[:, used], elements, connectivity)
 
 
 def write_deck(
@@ -67,29 +73,31 @@ def write_deck(
 ) -> None:
     """Write the problem as an input deck for CalculiX or Abaqus.
 
-    Every element of the grid becomes one brick of the deck. Window and imprint are meshed, with
-    all their nodes prescribed: the window fixed, each node of the imprint moved along z from the
-    unloaded to the loaded surface, in proportion to the load. The imprint reaches beyond the layer
-    as far as a layer without friction would spread, and is meshed twice as finely. Contact is
-    surface to surface by penalty, with Coulomb friction, on the two large faces of the layer; its
-    free sides meet nothing.
+    Every element of the grid becomes one brick of the deck. Window and imprint are meshed bricks
+    whose nodes are all prescribed: the window is fixed, and each node of the imprint moves along z
+    from the unloaded to the loaded surface, in proportion to the load. The imprint is quadratic,
+    with elements as large as the layer's, and reaches as far beyond the layer as a layer without
+    friction would spread, and one thickness more. Contact is surface to surface by penalty, with
+    Coulomb friction, on the two large faces of the layer; its free sides meet nothing.
 
     Parameters
     ----------
     problem
-        What to write. CalculiX has no mixed elements: it converges and stays accurate up to about
-        K/mu = 100, so give it a problem with such a bulk modulus and compare at equal K/mu.
+        What to write. CalculiX has no mixed elements and fails well before K/mu = 1e4: give it a
+        problem with K/mu about 100, and compare at equal K/mu.
     path
         The deck, ``.inp``.
     element
-        ``C3D20R``, quadratic with reduced integration, for both codes; ``C3D20RH``, the same with
-        independent pressure for any K/mu, for Abaqus; ``C3D8I``, linear with incompatible modes,
-        for both.
+        ``C3D20R``, quadratic with reduced integration, for both codes; ``C3D8I``, linear with
+        incompatible modes, cheaper and less accurate, for both; ``C3D20RH``, quadratic with
+        independent pressure for any K/mu, for Abaqus. Plain linear bricks lock.
     contact_stiffness
         Pressure per overlap at both surfaces, kPa/mm. By default the overlap is 0.05 % of the
-        thickness where the pressure equals mu.
+        thickness where the pressure equals mu; ``roller`` edges, between which a layer yields only
+        by its bulk modulus, need a contact about ten times stiffer.
     first_increment, largest_increment
-        Load increments, as fractions of the full load; the code adapts them.
+        Load increments, as fractions of the full load, which the code shortens where it has to.
+        Friction depends on the path: compare at equal increments.
 
     Raises
     ------
@@ -99,13 +107,14 @@ def write_deck(
     mean_thickness = float(problem.grid.thickness.mean())
     if contact_stiffness is None:
         contact_stiffness = problem.shear_modulus / (5e-4 * mean_thickness)
+    per_layer = problem.grid.shape[1] * problem.grid.shape[2]
     quadratic = element.startswith("C3D20")
-    layer = _Bricks(_halved(problem.grid.nodes, (1, 2, 3)), quadratic)
+    layer = _bricks(_halved(problem.grid.nodes, (1, 2, 3)), quadratic)
     lattice, loaded = _imprint_lattice(problem)
-    imprint = _Bricks(lattice, quadratic=True, after=layer)
+    imprint = _bricks(lattice, quadratic=True, after=layer)
     x, y = lattice[0, 0, 0, [0, -1]], lattice[1, 0, [0, -1], 0]
     corners = np.stack(np.meshgrid(x, y, [-mean_thickness, 0.0], indexing="ij")).T
-    window = _Bricks(_halved(np.moveaxis(corners, -1, 0), (1, 2, 3)), False, after=imprint)
+    window = _bricks(_halved(np.moveaxis(corners, -1, 0), (1, 2, 3)), False, after=imprint)
     with atomic(path, "deck") as temporary, temporary.open("w") as file:
         _write_heading(file, problem)
         _write_mesh(file, layer, "LAYER", element)
@@ -127,8 +136,8 @@ def write_deck(
 **
 ** Contact of the two large faces of the layer
 """)
-        _write_set(file, "*ELSET, ELSET=LAYER_BOTTOM", layer.bottom)
-        _write_set(file, "*ELSET, ELSET=LAYER_TOP", layer.top)
+        _write_set(file, "*ELSET, ELSET=LAYER_BOTTOM", layer.elements[:per_layer])
+        _write_set(file, "*ELSET, ELSET=LAYER_TOP", layer.elements[-per_layer:])
         for face, rigid, elements, sides in (
             (WINDOW, "WINDOW", "LAYER_BOTTOM", ("S1", "S2")),
             (SAMPLE, "IMPRINT", "LAYER_TOP", ("S2", "S1")),
@@ -165,6 +174,61 @@ CDIS, CSTR
 """)
 
 
+@dataclass(frozen=True)
+class DeckResult:
+    """What a code wrote at the full load.
+
+    Attributes
+    ----------
+    window_force, imprint_force
+        Total forces on the layer, (x, y, z), mN.
+    stress
+        Cauchy stress at the integration points of the layer's elements, kPa, tension positive;
+        shape (6, nz, ny, nx, points), components xx, yy, zz, yz, xz, xy.
+    """
+
+    window_force: Array
+    imprint_force: Array
+    stress: Array
+
+
+def read_deck_result(path: str | Path, shape: tuple[int, int, int]) -> DeckResult:
+    """Read the ``.dat`` file that CalculiX makes of a deck.
+
+    Parameters
+    ----------
+    path
+        The ``.dat`` file.
+    shape
+        Numbers of elements (nz, ny, nx) of the grid the deck was written from.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or lacks the results at the full load.
+    """
+    try:
+        text = Path(path).read_text()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    parts = re.split(r"^ ([a-z].*) and time +0\.10+E\+01$", text, flags=re.MULTILINE)
+    tables = dict(zip(parts[1::2], parts[2::2], strict=True))
+    try:
+        window, imprint = (
+            np.array(tables[f"total force (fx,fy,fz) for set {name}"].split(), float)
+            for name in ("WINDOW", "IMPRINT")
+        )
+        stresses = tables["stresses (elem, integ.pnt.,sxx,syy,szz,sxy,sxz,syz) for set LAYER"]
+        rows = np.array(stresses.split(), float).reshape(np.prod(shape), -1, 8)
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"{path}: holds no complete results of the layer at the full load ({error}); "
+            "did the run reach the end, and was the deck written from this grid?"
+        ) from error
+    stress = np.moveaxis(rows[..., [2, 3, 4, 7, 6, 5]], -1, 0)
+    return DeckResult(window, imprint, stress.reshape(6, *shape, -1))
+
+
 def _halved(field: Array, axes: tuple[int, ...]) -> Array:
     """Insert the mean of neighbours between them, along each axis."""
     for axis in axes:
@@ -183,7 +247,7 @@ def _imprint_lattice(problem: LayerProblem) -> tuple[Array, Array]:
     def lines(nodes: Array, stretch: float) -> Array:
         margin = 0.5 * stretch * (nodes[-1] - nodes[0]) + grid.thickness.max()
         size = np.median(np.diff(nodes))
-        count = max(1, round(margin / size))
+        count = int(np.ceil(margin / size))
         beyond = size * np.arange(1, count + 1)
         nodes = np.concatenate([nodes[0] - beyond[::-1], nodes, nodes[-1] + beyond])
         return _halved(nodes, (0,))
@@ -222,13 +286,13 @@ def _write_mesh(file: TextIO, bricks: _Bricks, name: str, element: str) -> None:
         file.write(_lines([label, *nodes]))
 
 
-def _lines(numbers: list[int] | NDArray[np.int_], width: int = 10) -> str:
+def _lines(numbers: list[int] | Labels, width: int = 10) -> str:
     """Comma-separated integers, continued over lines (a trailing comma continues a line)."""
     rows = [numbers[i : i + width] for i in range(0, len(numbers), width)]
     return ",\n".join(", ".join(map(str, row)) for row in rows) + "\n"
 
 
-def _write_set(file: TextIO, keyword: str, members: NDArray[np.int_]) -> None:
+def _write_set(file: TextIO, keyword: str, members: Labels) -> None:
     file.write(f"{keyword}\n{_lines(members)}")
 
 
@@ -262,10 +326,9 @@ def _write_contact(
 
 
 def _write_rollers(file: TextIO, layer: _Bricks) -> None:
-    every = slice(None)
-    for name, axis, nodes in (
-        ("SIDES_X", 1, [layer.face_nodes(every, every, end) for end in (0, -1)]),
-        ("SIDES_Y", 2, [layer.face_nodes(every, end, every) for end in (0, -1)]),
+    for name, axis, ends in (
+        ("SIDES_X", 1, layer.labels[:, :, [0, -1]]),
+        ("SIDES_Y", 2, layer.labels[:, [0, -1]]),
     ):
-        _write_set(file, f"*NSET, NSET={name}", np.concatenate(nodes))
+        _write_set(file, f"*NSET, NSET={name}", ends[ends > 0])
         file.write(f"*BOUNDARY\n{name}, {axis}, {axis}\n")
