@@ -1,0 +1,87 @@
+"""The reference linear solver: pressure condensed, sparse LU from a library."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from .system import NewtonSystem
+
+Array = NDArray[np.float64]
+
+
+class DirectSolver:
+    """Solve Newton systems exactly, with MKL PARDISO where it is installed, else SuperLU.
+
+    Memory grows faster than the number of elements; meant for small grids and as the reference.
+    """
+
+    dtype: ClassVar[type[np.floating]] = np.float64
+
+    def __init__(self, bulk_modulus: float) -> None:
+        #: Penalty that condenses the pressure exactly.
+        self.gamma = bulk_modulus
+
+    def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Array, Array, int]:
+        """Return the step (du in contact coordinates, dp) and 1, the number of solves.
+
+        ``tolerance`` is not used: the solution is exact to rounding.
+        """
+        matrix = sparse_matrix(system.stencil, system.free)
+        solution = sparse_solve(matrix, system.rhs.ravel()).reshape(system.rhs.shape)
+        dp = (
+            system.bulk_modulus
+            / system.volume
+            * (system.volume_change(solution) - system.volume_rhs)
+        )
+        return system.prescribed + solution, dp, 1
+
+
+def sparse_solve(matrix: sp.csr_matrix, rhs: Array) -> Array:
+    """Solve one sparse linear system with the best library at hand."""
+    try:
+        import pypardiso
+    except ImportError:
+        return splu(
+            matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
+        ).solve(rhs)
+    solver = pypardiso.PyPardisoSolver()
+    try:
+        return solver.solve(matrix, rhs)
+    finally:
+        solver.free_memory(everything=True)
+
+
+def sparse_matrix(stencil: NDArray[np.floating], free: NDArray[np.bool_]) -> sp.csr_matrix:
+    """Matrix of a constrained block stencil, with a unit-like diagonal where it is constrained."""
+    rows, columns, source = _pattern(free.shape[1:])
+    matrix = sp.csr_matrix(
+        (stencil.reshape(-1)[source].astype(float), (rows, columns)), shape=(free.size, free.size)
+    )
+    scale = np.abs(matrix.diagonal()).mean()
+    return sp.csr_matrix(matrix + sp.diags_array(np.where(free.ravel(), 0.0, scale)))
+
+
+@lru_cache(maxsize=2)
+def _pattern(node_shape: tuple[int, int, int]) -> tuple[NDArray, NDArray, NDArray]:
+    """Rows, columns and positions in the stencil of all entries that lie inside the grid."""
+    nz1, ny1, nx1 = node_shape
+    node = np.arange(nz1 * ny1 * nx1).reshape(node_shape)
+    k, j, i = np.indices(node_shape)
+    rows, columns, source = [], [], []
+    for m in range(27):
+        kk, jj, ii = k + m // 9 - 1, j + (m // 3) % 3 - 1, i + m % 3 - 1
+        inside = (kk >= 0) & (kk < nz1) & (jj >= 0) & (jj < ny1) & (ii >= 0) & (ii < nx1)
+        here, there = node[inside], node[kk[inside], jj[inside], ii[inside]]
+        start = ((k * ny1 + j) * 27 + m)[inside] * 9
+        for c in range(3):
+            for d in range(3):
+                rows.append(c * node.size + here)
+                columns.append(d * node.size + there)
+                source.append((start + 3 * c + d) * nx1 + i[inside])
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(source)

@@ -1,0 +1,125 @@
+"""The fast linear solver: flexible GMRES on displacement and pressure.
+
+Preconditioned by the augmented-Lagrangian block-triangular factor: one multigrid V-cycle for the
+displacement block A + gamma B V^-1 B^T, and -(1 / (mu + gamma) + 1 / K) V for the Schur complement
+of the pressure. All in single precision: Newton's residual, in double, sets the accuracy.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .grid import LayerGrid
+from .multigrid import Hierarchy
+from .stencil import halo_zeros, interior, multiply
+from .system import NewtonSystem
+
+Array = NDArray[np.float64]
+
+#: Penalty of the displacement block in units of the shear modulus.
+_GAMMA = 10.0
+#: Krylov iterations at which a linear solve ends whatever it has reached.
+_LONGEST = 40
+
+
+class MultigridSolver:
+    """Solve Newton systems of one grid by preconditioned FGMRES; work grows with the unknowns."""
+
+    dtype: ClassVar[type[np.floating]] = np.float32
+
+    def __init__(self, grid: LayerGrid, shear_modulus: float) -> None:
+        self.gamma = _GAMMA * shear_modulus
+        self.shear_modulus = shear_modulus
+        self.hierarchy = Hierarchy((grid.depth * float(np.median(grid.thickness)), grid.y, grid.x))
+
+    def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Array, Array, int]:
+        """Return the step (du in contact coordinates, dp) and the number of iterations.
+
+        ``tolerance`` is the reduction of the residual of both equations together, each pressure
+        equation weighted by (mu + gamma) / V^(1/3) to make it a force.
+        """
+        f32 = np.float32
+        self.hierarchy.update(system.stencil, system.free)
+        free = system.free.astype(f32)
+        volume = system.volume.astype(f32)
+        coupling = f32(1 - system.gamma / system.bulk_modulus)
+        compressibility = volume / f32(system.bulk_modulus)
+        weight = f32(self.shear_modulus + system.gamma) / np.cbrt(volume)
+        schur = -1 / (
+            volume * f32(1 / (self.shear_modulus + system.gamma) + 1 / system.bulk_modulus)
+        )
+        shape = system.rhs.shape[1:]
+        x, y = halo_zeros(shape, f32), halo_zeros(shape, f32)
+        size = free.size
+
+        def split(v: NDArray) -> tuple[NDArray, NDArray]:
+            return v[:size].reshape(free.shape), v[size:].reshape(volume.shape)
+
+        def operator(v: NDArray) -> NDArray:
+            u, p = split(v)
+            out = np.empty_like(v)
+            out_u, out_p = split(out)
+            interior(x)[:] = u
+            multiply(system.stencil, x, y)
+            out_u[:] = interior(y) + free * system.pressure_force(coupling * p)
+            out_p[:] = weight * (system.volume_change(u) - compressibility * p)
+            return out
+
+        def precondition(v: NDArray) -> NDArray:
+            r_u, r_p = split(v)
+            out = np.empty_like(v)
+            out_u, out_p = split(out)
+            out_p[:] = schur * r_p / weight
+            interior(x)[:] = free * (r_u - system.pressure_force(coupling * out_p))
+            out_u[:] = interior(self.hierarchy.cycle(x))
+            return out
+
+        rhs = np.concatenate([system.rhs.ravel(), (weight * system.volume_rhs).ravel()]).astype(f32)
+        solution, iterations = fgmres(operator, precondition, rhs, tolerance, _LONGEST)
+        u, p = split(solution)
+        return system.prescribed + u, p.astype(float), iterations
+
+
+def fgmres(operator, precondition, rhs: NDArray, tolerance: float, longest: int):  # noqa: ANN001, ANN201
+    """Flexible GMRES from a zero guess, without restart.
+
+    Returns the solution and the number of iterations, each one product and one preconditioning.
+    """
+    size = float(np.linalg.norm(rhs))
+    if size == 0:
+        return np.zeros_like(rhs), 0
+    basis, steps = [rhs / rhs.dtype.type(size)], []
+    h = np.zeros((longest + 1, longest))
+    g = np.zeros(longest + 1)
+    g[0] = size
+    rotations: list[tuple[float, float]] = []
+    n = 0
+    for n in range(1, longest + 1):
+        z = precondition(basis[-1])
+        steps.append(z)
+        w = operator(z)
+        for i, v in enumerate(basis):
+            h[i, n - 1] = float(np.dot(v, w))
+            w -= w.dtype.type(h[i, n - 1]) * v
+        h[n, n - 1] = float(np.linalg.norm(w))
+        basis.append(w / w.dtype.type(max(h[n, n - 1], 1e-30)))
+        for i, (c, s) in enumerate(rotations):
+            h[i, n - 1], h[i + 1, n - 1] = (
+                c * h[i, n - 1] + s * h[i + 1, n - 1],
+                -s * h[i, n - 1] + c * h[i + 1, n - 1],
+            )
+        r = float(np.hypot(h[n - 1, n - 1], h[n, n - 1]))
+        c, s = h[n - 1, n - 1] / r, h[n, n - 1] / r
+        rotations.append((c, s))
+        h[n - 1, n - 1], h[n, n - 1] = r, 0.0
+        g[n - 1], g[n] = c * g[n - 1], -s * g[n - 1]
+        if abs(g[n]) <= tolerance * size:
+            break
+    y = np.linalg.solve(h[:n, :n], g[:n])
+    solution = np.zeros_like(rhs)
+    for factor, z in zip(y, steps, strict=True):
+        solution += rhs.dtype.type(factor) * z
+    return solution, n

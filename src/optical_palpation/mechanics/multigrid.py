@@ -1,0 +1,191 @@
+"""Geometric multigrid for block stencils on the structured grid.
+
+Chebyshev smoothing over 3 x 3 block Jacobi, trilinear interpolation between nested node sets of
+any length, Galerkin coarse operators, LU on the coarsest level. Coarse unknowns are constrained
+where the fine node they sit on is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from . import stencil as st
+from .direct import sparse_matrix
+
+Vector = NDArray[np.float32]
+
+#: Unknowns below which the coarsest level is solved directly.
+_COARSEST = 700
+#: Chebyshev steps before and after the coarse correction.
+_STEPS = 4
+#: The smoother acts on the eigenvalues of D^-1 A from largest / _RANGE to largest.
+_RANGE = 8.0
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Linear interpolation between node sets along one axis.
+
+    ``nodes`` are the fine indices of the coarse nodes; fine node n lies between coarse nodes
+    ``low[n]`` and ``low[n] + 1`` with weight ``weight[n]`` of the latter; coarse node N reaches the
+    fine nodes ``first[N] + s`` with weights ``table[N, s]``.
+    """
+
+    nodes: NDArray[np.intp]
+    low: NDArray[np.intp]
+    weight: Vector
+    first: NDArray[np.intp]
+    table: Vector
+
+    @classmethod
+    def build(cls, positions: NDArray[np.float64], nodes: NDArray[np.intp]) -> Transfer:
+        """Interpolate from the subset ``nodes`` to all ``positions``."""
+        coarse = positions[nodes]
+        low = np.clip(np.searchsorted(coarse, positions, side="right") - 1, 0, len(nodes) - 2)
+        weight = (positions - coarse[low]) / np.diff(coarse)[low]
+        dense = np.zeros((len(nodes), len(positions)))
+        dense[low, np.arange(len(positions))] = 1 - weight
+        dense[low + 1, np.arange(len(positions))] += weight
+        first = np.array([np.flatnonzero(row)[0] for row in dense])
+        last = np.array([np.flatnonzero(row)[-1] for row in dense])
+        width = int((last - first).max()) + 1
+        # every node between the coarse neighbours is addressed, also where its weight is zero
+        table = np.zeros((len(nodes), width + 2), np.float32)
+        start = np.maximum(first - 1, 0)
+        for n, f in enumerate(start):
+            part = dense[n, f : f + width + 2]
+            table[n, : len(part)] = part
+        return cls(nodes, low, weight.astype(np.float32), start, table)
+
+
+def coarse_nodes(count: int, halve: bool) -> NDArray[np.intp]:
+    """Indices of the coarse nodes of an axis of ``count`` elements."""
+    if not halve or count == 1:
+        return np.arange(count + 1)
+    return np.unique(np.round(np.linspace(0, count, count // 2 + 1)).astype(np.intp))
+
+
+class Level:
+    """One grid of the hierarchy with its work vectors."""
+
+    def __init__(self, node_shape: tuple[int, int, int], transfers: tuple[Transfer, ...]) -> None:
+        self.node_shape = node_shape
+        self.transfers = transfers
+        self.stencil: Vector
+        self.inverse = np.empty((*node_shape[:2], 9, node_shape[2]), np.float32)
+        self.x, self.b, self.r, self.d = (st.halo_zeros(node_shape, np.float32) for _ in range(4))
+        self.largest = 0.0
+        self.mode: Vector | None = None
+
+    def prepare(self) -> None:
+        """Invert the diagonal blocks and estimate the largest eigenvalue of D^-1 A."""
+        st.invert_blocks(self.stencil, self.inverse)
+        steps = 3
+        if self.mode is None:
+            steps = 12
+            rng = np.random.default_rng(0)
+            self.mode = st.halo_zeros(self.node_shape, np.float32)
+            st.interior(self.mode)[:] = rng.standard_normal(self.x[:, 1:-1, 1:-1, 1:-1].shape)
+        for _ in range(steps):
+            st.multiply(self.stencil, self.mode, self.r)
+            st.scale_by_blocks(self.inverse, self.r, self.mode, np.float32(1))
+            size = float(np.linalg.norm(self.mode.ravel()))
+            self.mode /= np.float32(size)
+        self.largest = 1.1 * size
+
+    def smooth(self, from_zero: bool) -> None:
+        """Chebyshev steps on x for the right-hand side b."""
+        high, low = self.largest, self.largest / _RANGE
+        centre, half = 0.5 * (high + low), 0.5 * (high - low)
+        sigma = centre / half
+        rho = 1 / sigma
+        f = np.float32
+        if from_zero:
+            st.scale_by_blocks(self.inverse, self.b, self.d, f(1 / centre))
+            self.x[:] = self.d
+        else:
+            st.smoothing_direction(
+                self.stencil, self.inverse, self.x, self.b, self.d, f(0), f(1 / centre)
+            )
+            self.x += self.d
+        for _ in range(_STEPS - 1):
+            new = 1 / (2 * sigma - rho)
+            st.smoothing_direction(
+                self.stencil, self.inverse, self.x, self.b, self.d, f(new * rho), f(2 * new / half)
+            )
+            self.x += self.d
+            rho = new
+
+
+class Hierarchy:
+    """All levels for one grid; ``update`` takes a new fine stencil, ``cycle`` applies one V-cycle."""
+
+    def __init__(
+        self, positions: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+    ) -> None:
+        """Build the levels for the node ``positions`` (z, y, x), mm."""
+        self.levels: list[Level] = []
+        while True:
+            shape = tuple(len(p) for p in positions)
+            sizes = [np.median(np.diff(p)) for p in positions]
+            divisible = [s for s, p in zip(sizes, positions, strict=True) if len(p) > 2]
+            last = 3 * np.prod(shape) <= _COARSEST or not divisible
+            if last:
+                self.levels.append(Level(shape, ()))  # type: ignore[arg-type]
+                break
+            chosen = [
+                coarse_nodes(len(p) - 1, s < 1.6 * min(divisible))
+                for p, s in zip(positions, sizes, strict=True)
+            ]
+            transfers = tuple(Transfer.build(p, n) for p, n in zip(positions, chosen, strict=True))
+            self.levels.append(Level(shape, transfers))  # type: ignore[arg-type]
+            positions = tuple(p[n] for p, n in zip(positions, chosen, strict=True))  # type: ignore[assignment]
+
+    def update(self, stencil: Vector, free: NDArray[np.bool_]) -> None:
+        """Set the fine operator (already constrained) and coarsen it."""
+        self.levels[0].stencil = stencil
+        for n, level in enumerate(self.levels[:-1]):
+            level.prepare()
+            coarser = self.levels[n + 1]
+            if not hasattr(coarser, "stencil"):
+                nz1, ny1, nx1 = coarser.node_shape
+                coarser.stencil = np.empty((nz1, ny1, 27, 9, nx1), np.float32)
+            tz, ty, tx = level.transfers
+            st.galerkin(
+                level.stencil,
+                coarser.stencil,
+                *(a for t in (tz, ty, tx) for a in (t.low, t.first, t.table)),
+            )
+            free = free[np.ix_(range(3), tz.nodes, ty.nodes, tx.nodes)]
+            st.constrain(coarser.stencil, free)
+        coarsest = self.levels[-1]
+        self._free = free
+        matrix = sparse_matrix(coarsest.stencil, free)
+        self._lu = scipy.linalg.lu_factor(matrix.toarray().astype(np.float32), check_finite=False)
+
+    def cycle(self, b: Vector) -> Vector:
+        """One V-cycle from zero for the right-hand side ``b`` (with halo); the result is reused."""
+        fine = self.levels[0]
+        fine.b[:] = b
+        for level, coarser in zip(self.levels[:-1], self.levels[1:], strict=True):
+            level.smooth(from_zero=True)
+            st.subtract_product(level.stencil, level.x, level.b, level.r)
+            tz, ty, tx = level.transfers
+            st.restrict(level.r, coarser.b, *(a for t in (tz, ty, tx) for a in (t.first, t.table)))
+        coarsest = self.levels[-1]
+        rhs = np.where(self._free, st.interior(coarsest.b), 0).ravel()
+        st.interior(coarsest.x)[:] = scipy.linalg.lu_solve(
+            self._lu, rhs, check_finite=False
+        ).reshape(self._free.shape)
+        for level, coarser in zip(self.levels[-2::-1], self.levels[:0:-1], strict=True):
+            tz, ty, tx = level.transfers
+            level.r[:] = 0
+            st.prolong_add(
+                coarser.x, level.x, *(a for t in (tz, ty, tx) for a in (t.low, t.weight))
+            )
+            level.smooth(from_zero=False)
+        return fine.x
