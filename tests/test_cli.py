@@ -13,6 +13,7 @@ import xarray as xr
 from optical_palpation.cli import main
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation.algebraic import algebraic_stress
+from optical_palpation.palpation.result import ContactState
 from optical_palpation.present import read_result
 
 MATERIAL = ["--initial-thickness", "0.5", "--c10", "2.23", "--c01", "0.703"]
@@ -69,6 +70,19 @@ def test_missing_pixels_and_spikes_are_filled_and_reported(here, run):
     assert "filled pixels: 0.90%" in out
     filled = read_result("o.nc").maps["filled"].values
     assert np.argwhere(filled).tolist() == [[3, 4], [8, 9]]
+
+
+def test_where_the_layer_is_not_thinner_there_is_no_contact(here, run):
+    values = np.load("map.npy")
+    values[:, :4] = 0.51
+    np.save("gap.npy", values)
+    status, out, _ = run("stress", "gap.npy", *FRAME, *ALGEBRAIC, "--output", "o.nc")
+    assert status == 0
+    assert f"taken as open: {4 / 17:.2%} of the map" in out
+    maps = read_result("o.nc").maps
+    assert (maps["axial_stress"][:, :4] == 0).all()
+    assert (maps["contact_state"][:, :4] == ContactState.OPEN).all()
+    assert (maps["axial_stress"][:, 4:] < 0).all()
 
 
 def test_initial_thickness_may_be_a_map_of_its_own(here, run):

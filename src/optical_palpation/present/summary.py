@@ -11,12 +11,11 @@ from optical_palpation.present.profiles import on_layer
 def summarise(result: StressResult) -> str:
     """Return forces, stress and contact of a result as readable lines.
 
-    Total forces in mN, mean and peak axial stress in kPa (the peak is the most compressed pixel,
-    the 99th percentile of compression beside it tells whether it stands alone), and the shares
-    of the map that are in contact.
+    Total forces in mN, mean and peak axial stress in kPa by each method (the percentile beside the
+    most compressed pixel tells whether that pixel stands alone), and the shares of the map that
+    are in contact and that were filled.
     """
     maps = on_layer(result.maps)
-    stress = maps["axial_stress"].values
     lines = []
     forces = [
         f"{side} {maps.attrs[key]:.1f} mN"
@@ -25,10 +24,15 @@ def summarise(result: StressResult) -> str:
     ]
     if forces:
         lines.append("total force: " + ", ".join(forces))
-    lines.append(
-        f"axial stress: mean {np.nanmean(stress):.3f} kPa, 99 % of the map above "
-        f"{np.nanpercentile(stress, 1):.3f} kPa, most compressed {np.nanmin(stress):.3f} kPa"
-    )
+    methods = {"computational": "axial_stress", "algebraic": "algebraic_axial_stress"}
+    if "contact_pressure" not in maps:  # the algebraic method alone has none
+        del methods["computational"]
+    for method, name in methods.items():
+        stress = maps[name].values
+        lines.append(
+            f"axial stress, {method}: mean {np.nanmean(stress):.3f} kPa, 99 % of the map above "
+            f"{np.nanpercentile(stress, 1):.3f} kPa, most compressed {np.nanmin(stress):.3f} kPa"
+        )
     state = maps["contact_state"].values
     shares = [
         f"{kind.name.lower()} {np.mean(state == kind):.1%}"
@@ -36,6 +40,8 @@ def summarise(result: StressResult) -> str:
         if np.any(state == kind)
     ]
     lines.append("contact with the sample: " + ", ".join(shares))
+    if open_share := maps["algebraic_axial_stress"].attrs.get("no_contact_share"):
+        lines.append(f"not thinner than unloaded, so taken as open: {open_share:.2%} of the map")
     if "filled_share" in maps.attrs:
         lines.append(
             f"filled pixels: {maps.attrs['filled_share']:.2%} (missing "
