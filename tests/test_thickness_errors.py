@@ -157,6 +157,32 @@ def test_damaged_tiff_is_reported_once(tmp_path, caplog):
     assert not caplog.records
 
 
+def test_hdf5_heap_that_would_be_searched_for_ever(tmp_path):
+    path = tmp_path / "map.nc"
+    WRITERS["map.nc"](path, GOOD)
+    content = path.read_bytes()
+    heap = content.index(b"GCOL") + 16
+    assert content[heap] == 1
+    path.write_bytes(content[:heap] + b"\0" + content[heap + 1 :])
+    expect(path, "damaged", "heap")
+
+
+def test_size_that_only_a_damaged_header_states(tmp_path):
+    path = tmp_path / "map.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("L1", (10**6, 10**6), "f4", chunks=(100, 100))
+    expect(path, "far too many")
+
+
+def test_volume_beside_the_map_is_not_read(tmp_path):
+    path = tmp_path / "map.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("volume", (10**4, 10**4, 10**4), "f4", chunks=(10, 10, 10))
+        file["L1"] = GOOD
+    np.testing.assert_array_equal(read(path), GOOD)
+    expect(path, "10000 x 10000 x 10000", variable="volume")
+
+
 def test_choice_of_variable(tmp_path):
     np.savez(tmp_path / "two.npz", L0=GOOD, L1=GOOD)
     expect(tmp_path / "two.npz", "more than one", "L0 (3 x 4 float64), L1 (3 x 4 float64)")

@@ -9,12 +9,14 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optical_palpation.errors import InputError
 
+_MAX_BYTES = 2**29  # of one array; maps have a hundredth of it
 FORMATS = "MATLAB .mat (v5, v7, v7.3), .npy, .npz, .csv, .txt, .tif, NetCDF"
 
 
@@ -150,6 +152,7 @@ def _read_matlab_73(path: Path) -> dict[str, Variable]:
     import h5py
 
     variables = {}
+    _check_hdf5_heaps(path.read_bytes())
     with h5py.File(path, "r") as file:
         for name, item in file.items():
             if not isinstance(item, h5py.Dataset) or name.startswith("#"):
@@ -157,7 +160,7 @@ def _read_matlab_73(path: Path) -> dict[str, Variable]:
             matlab_class = item.attrs.get("MATLAB_class", b"")
             if matlab_class in (b"char", b"cell", b"function_handle"):
                 continue
-            values = np.asarray(item[()])
+            values = _hdf5_values(item)
             if "MATLAB_empty" in item.attrs:
                 values = np.empty([int(length) for length in values.ravel()])
             elif values.dtype.names == ("real", "imag"):
@@ -168,11 +171,44 @@ def _read_matlab_73(path: Path) -> dict[str, Variable]:
     return variables
 
 
+def _check_hdf5_heaps(content: bytes) -> None:
+    """Raise ValueError where HDF5 would walk along the objects of a damaged heap for ever."""
+    heap = b"GCOL\x01\0\0\0"
+    start = content.find(heap)
+    while start >= 0:
+        position, end = (
+            start + 16,
+            start + int.from_bytes(content[start + 8 : start + 16], "little"),
+        )
+        while position + 16 <= min(end, len(content)):
+            index, size = struct.unpack_from("<H6xQ", content, position)
+            step = (16 + size + -size % 8 if index else size) % 2**64  # HDF5's arithmetic
+            if step == 0:
+                raise ValueError("a heap has an object without size")
+            position += step
+        start = content.find(heap, start + 8)
+
+
+def _bounded(array: Any) -> Any:
+    """Return `array` unless its size, which a damaged header may state, would exhaust memory."""
+    if array.size * array.dtype.itemsize > _MAX_BYTES:
+        raise ValueError(f"it states {array.shape} values of type {array.dtype}, far too many")
+    return array
+
+
+def _hdf5_values(dataset: Any) -> NDArray:
+    """Values of a dataset; of a volume beside the map only shape and type, which stay unread."""
+    if dataset.ndim > 2:
+        return np.broadcast_to(np.zeros((), dataset.dtype), dataset.shape)
+    return np.asarray(_bounded(dataset)[()])
+
+
 def _read_netcdf_4(path: Path) -> dict[str, Variable]:
     # Not through h5netcdf, which leaves damaged files open and prints tracebacks about them.
     import h5py
 
     variables = {}
+    _check_hdf5_heaps(path.read_bytes())
     with h5py.File(path, "r") as file:
         for name, item in file.items():
             if not isinstance(item, h5py.Dataset):
@@ -182,14 +218,16 @@ def _read_netcdf_4(path: Path) -> dict[str, Variable]:
                 _plain(item.attrs.get("NAME", ""))
             ):
                 continue
-            if item.is_scale:
+            # By hand, because HDF5's own search for scales may never end in a damaged file.
+            scales = list(item.attrs.get("DIMENSION_LIST", [()] * item.ndim))
+            if "DIMENSION_SCALE" in str(_plain(item.attrs.get("CLASS", ""))):
                 dims = [name]
             else:
                 dims = [
-                    scales[0].name.lstrip("/") if len(scales) else f"dim_{axis}"
-                    for axis, scales in enumerate(item.dims)
+                    file[of_axis[0]].name.lstrip("/") if len(of_axis) else f"dim_{axis}"
+                    for axis, of_axis in enumerate(scales)
                 ]
-            variables[name] = _decoded(name, dims, item[()], attrs)
+            variables[name] = _decoded(name, dims, _hdf5_values(item), attrs)
     return variables
 
 
@@ -251,7 +289,8 @@ def _read_tiff(path: Path) -> dict[str, Variable]:
     log = logging.getLogger("tifffile")
     disabled, log.disabled = log.disabled, True  # it reports damage there, too
     try:
-        return {"": Variable(np.asarray(tifffile.imread(path)))}
+        with tifffile.TiffFile(path) as file:
+            return {"": Variable(np.asarray(_bounded(file.series[0]).asarray()))}
     finally:
         log.disabled = disabled
 
