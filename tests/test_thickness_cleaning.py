@@ -105,6 +105,23 @@ def test_real_relief_stays(shared_data):
     assert clean_thickness(sinusoid).attrs["filled_share"] == 0
 
 
+def test_spikes_on_real_relief_are_all_found_and_nothing_else(shared_data):
+    coin = read_thickness_map(
+        shared_data / "layers" / "coin_5c_1-thickness.mat", field_of_view=(5, 5)
+    )
+    random = np.random.default_rng(0)
+    spikes = random.random(coin.shape) < 0.001
+    damaged = coin.copy(
+        data=coin.values + np.where(spikes, random.choice([-0.1, 0.1], coin.shape), 0)
+    )
+    damaged.values[random.random(coin.shape) < 0.02] = np.nan
+    result = clean_thickness(damaged)
+    np.testing.assert_array_equal(result["filled"], spikes | np.isnan(damaged.values))
+    error = np.abs(result["thickness"] - coin).values[result["filled"].values]
+    assert np.median(error) < 0.0005
+    assert error.max() < 0.02
+
+
 def test_large_gap_is_filled_with_the_harmonic_function():
     y, x = np.mgrid[:60, :80] / 50
     harmonic = 0.5 + 0.02 * (x**2 - y**2) + 0.05 * x * y
