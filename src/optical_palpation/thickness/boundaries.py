@@ -1,0 +1,339 @@
+"""The layer's two boundaries in an OCT volume, and its thickness between them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import median_filter
+
+from optical_palpation.errors import InputError
+
+from .canny import canny_surface
+from .cleaning import _fill
+from .corrections import Corrections, read_corrections
+from .intensity import BScans, Read, Scale, intensity_reader, point_spread
+from .refinement import refine, take_band
+from .tracking import Edge, Reduced, reduce_volume, track
+
+Method = Literal["surface", "canny"]
+Range = tuple[float, float]
+Progress = Callable[[float], None]
+
+GUARD = 6.0  # axial resolutions (standard deviations) within which two boundaries are one
+BAND = 24.0  # ... around a tracked surface that are read again for its refinement
+CELLS = (2.0, 6.0)  # lateral averaging over this many resolution cells, in two and in one dimension
+WORST_CONTRAST = 0.25  # a boundary of less contrast is not seen
+HAMPEL = 3.0  # an outlier is this many (robust) standard deviations off the median around it
+FWHM = 2.355
+
+
+class _Array:
+    """An array `[z, y, x]` as B-scans."""
+
+    def __init__(self, array: NDArray) -> None:
+        self.shape, self._array = array.shape, array
+
+    def bscan(self, y: int) -> NDArray:
+        return self._array[:, y, :]
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """A volume with what its first reading told."""
+
+    read: Read
+    shape: tuple[int, int, int]
+    spacing: tuple[float, float, float]
+    origin: tuple[float, float, float]
+    sigma: float
+    cell: tuple[float, float]
+    reduced: Reduced
+
+    @property
+    def lateral(self) -> tuple[float, float]:
+        """Standard deviations (y, x) of the lateral average, pixels."""
+        cells = CELLS[0] if min(self.shape[1:]) > 1 else CELLS[1]
+        return tuple(cells * max(FWHM * c, 1.0) for c in self.cell)  # type: ignore[return-value]
+
+    def depths(self, given: Range | None, whole: Range) -> Range:
+        """Range of depth in pixels from one in mm."""
+        if given is None:
+            return whole
+        first, last = ((d - self.origin[0]) / self.spacing[0] for d in given)
+        if not first < last or last < 0 or first > self.shape[0] - 1:
+            raise InputError(
+                f"search range {given} mm: it must run from shallow to deep within the volume, "
+                f"{self.origin[0]:g} to {self.origin[0] + self.shape[0] * self.spacing[0]:g} mm"
+            )
+        return first, last
+
+    def map(self, values: ArrayLike, name: str, units: str) -> xr.DataArray:
+        """Values `[y, x]` with coordinates in mm."""
+        _, y, x = (o + s * np.arange(n) for o, s, n in zip(self.origin, self.spacing, self.shape, strict=True))
+        coords = {"y": ("y", y, {"units": "mm"}), "x": ("x", x, {"units": "mm"})}
+        return xr.DataArray(values, coords, ("y", "x"), attrs={"units": units, "long_name": name})
+
+
+def find_layer(
+    volume: BScans | NDArray,
+    *,
+    spacing: tuple[float, float, float] | None = None,
+    scale: Scale | None = None,
+    window: Edge | float = "line",
+    sample: Edge = "rise",
+    window_range: Range | None = None,
+    sample_range: Range | None = None,
+    corrections: Corrections | str | Path | None = None,
+    method: Method = "surface",
+    progress: Progress | None = None,
+) -> xr.Dataset:
+    """Find both boundaries of a transparent layer in an OCT volume.
+
+    Parameters
+    ----------
+    volume
+        Array `[z, y, x]`, memory-mapped or not, or anything with ``shape`` (z, y, x) and
+        ``bscan(y)`` that gives `[z, x]`. It is read twice, B-scan by B-scan.
+    spacing
+        Physical pixel spacing (z, y, x), mm; may be left out for a volume that knows its own.
+    scale
+        "linear" (amplitude or intensity) or "dB"; may be left out likewise.
+    window
+        How the window side shows: a bright "line" (a reflection), a "fall" from bright to dark
+        (a scattering window), or its depth in mm where it is known, as 0 in common-path OCT.
+    sample
+        How the sample side shows: a "rise" from dark to scattering, which ignores thin lines if
+        there is scattering below them, or a "line" (a mirror-like sample).
+    window_range, sample_range
+        Depths (shallow, deep), mm, between which to search.
+    corrections
+        Anchor points and excluded regions, or the file that lists them.
+    method
+        "surface" tracks a smooth surface through the volume; "canny" takes the edges of each
+        B-scan for themselves.
+    progress
+        Called with the finished share, 0 to 1.
+
+    Returns
+    -------
+    xarray.Dataset
+        On (y, x): ``window_depth``, ``sample_depth`` and ``thickness`` in mm, ``quality`` in
+        [0, 1] (the lower Michelson contrast of the two boundaries, 0 where filled) and ``filled``
+        (True where one of the boundaries was not seen, or was an outlier, and was filled from
+        around).
+
+    Raises
+    ------
+    InputError
+        If spacing or scale are missing, or a boundary is nowhere to be seen.
+    """
+    tell = progress or (lambda share: None)
+    scan = _scan(volume, spacing, scale, lambda share: tell(0.4 * share))
+    fixes = _corrections(corrections)
+    ny, nx = scan.shape[1:]
+    first, last = scan.depths(window_range, (0.0, scan.shape[0] - 1.0))
+    ends = np.full((ny, nx), first), np.full((ny, nx), last)
+    parts: dict[str, tuple[NDArray, NDArray, NDArray]] = {}
+    if isinstance(window, str):
+        top = _locate(scan, window, *ends, fixes, "window", method)
+    else:
+        if not np.isfinite(window):
+            raise InputError(f"window depth is {window}; give a depth in mm")
+        top = np.full((ny, nx), (float(window) - scan.origin[0]) / scan.spacing[0])
+        parts["window"] = top, np.ones((ny, nx)), np.zeros((ny, nx), bool)
+    first, last = scan.depths(sample_range, (0.0, scan.shape[0] - 1.0))
+    lowest = np.maximum(first, top + GUARD * scan.sigma)
+    bottom = _locate(scan, sample, lowest, np.full((ny, nx), last), fixes, "sample", method)
+    tell(0.5)
+    searched = {"window": (window, top), "sample": (sample, bottom)}
+    edges = {name: e for name, e in searched.items() if name not in parts}
+    parts |= _finish(scan, edges, fixes, method, lambda share: tell(0.5 + 0.5 * share))
+    (top, top_quality, top_filled), (bottom, bottom_quality, bottom_filled) = (
+        parts["window"],
+        parts["sample"],
+    )
+    filled = top_filled | bottom_filled
+    quality = np.where(filled, 0.0, np.minimum(top_quality, bottom_quality))
+    dz, z0 = scan.spacing[0], scan.origin[0]
+    data = xr.Dataset(
+        {
+            "window_depth": scan.map(z0 + dz * top, "depth of the window side", "mm"),
+            "sample_depth": scan.map(z0 + dz * bottom, "depth of the sample side", "mm"),
+            "thickness": scan.map(dz * (bottom - top), "thickness of the layer", "mm"),
+            "quality": scan.map(quality, "contrast of the weaker boundary", "1"),
+            "filled": scan.map(filled, "filled from around", "1"),
+        },
+        attrs={
+            "method": method,
+            "axial_resolution_mm": float(FWHM * scan.sigma * dz),
+            "filled_share": float(np.mean(filled)),
+        },
+    )
+    tell(1.0)
+    return data
+
+
+def find_surface(
+    volume: BScans | NDArray,
+    *,
+    edge: Edge = "rise",
+    spacing: tuple[float, float, float] | None = None,
+    scale: Scale | None = None,
+    search: Range | None = None,
+    method: Method = "surface",
+) -> xr.Dataset:
+    """Find one surface; parameters as for :func:`find_layer`.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``depth`` in mm, ``quality`` and ``filled`` on (y, x).
+    """
+    scan = _scan(volume, spacing, scale, lambda share: None)
+    first, last = scan.depths(search, (0.0, scan.shape[0] - 1.0))
+    shape = scan.shape[1:]
+    fixes = Corrections()
+    found = _locate(scan, edge, np.full(shape, first), np.full(shape, last), fixes, "sample", method)
+    parts = _finish(scan, {"sample": (edge, found)}, fixes, method, lambda share: None)
+    depth, quality, filled = parts["sample"]
+    return xr.Dataset(
+        {
+            "depth": scan.map(scan.origin[0] + scan.spacing[0] * depth, "depth", "mm"),
+            "quality": scan.map(np.where(filled, 0.0, quality), "contrast", "1"),
+            "filled": scan.map(filled, "filled from around", "1"),
+        }
+    )
+
+
+def _corrections(given: Corrections | str | Path | None) -> Corrections:
+    if given is None:
+        return Corrections()
+    return given if isinstance(given, Corrections) else read_corrections(given)
+
+
+def _scan(
+    volume: BScans | NDArray,
+    spacing: tuple[float, float, float] | None,
+    scale: Scale | None,
+    progress: Progress,
+) -> _Scan:
+    """Read the volume for the first time."""
+    metadata = getattr(volume, "metadata", None)
+    source: BScans = _Array(volume) if isinstance(volume, np.ndarray) else volume
+    if spacing is None:
+        spacing = getattr(metadata, "spacing", None)
+    if scale is None:
+        scale = getattr(metadata, "scale", None)
+    if spacing is None or scale is None:
+        raise InputError("find_layer: give the spacing (z, y, x) in mm and the scale of the volume")
+    if len(source.shape) != 3 or min(source.shape) < 1 or source.shape[0] < 32:
+        raise InputError(f"a volume of shape {source.shape} (z, y, x) is too small for a layer")
+    # A single B-scan has no spacing along y; any will do.
+    dz, dy, dx = spacing
+    dy = dx if source.shape[1] == 1 and not np.isfinite(dy) else dy
+    if not (np.all(np.isfinite([dz, dy, dx])) and min(dz, dy, dx) > 0):
+        raise InputError(f"spacing {tuple(spacing)}: three positive numbers (z, y, x) in mm, please")
+    origin = getattr(metadata, "origin", None) or (0.0, 0.0, 0.0)
+    read = intensity_reader(source, scale)
+    sigma, across = point_spread(read, source.shape[1])
+    shape = (source.shape[0], source.shape[1], source.shape[2])
+    reduced = reduce_volume(read, shape, progress)
+    cell = (across * dx / dy, across)
+    return _Scan(read, shape, (dz, dy, dx), tuple(origin), sigma, cell, reduced)
+
+
+def _locate(
+    scan: _Scan,
+    edge: Edge,
+    first: NDArray,
+    last: NDArray,
+    fixes: Corrections,
+    boundary: Literal["window", "sample"],
+    method: Method,
+) -> NDArray[np.float64]:
+    """First estimate of a boundary, pixels; NaN where the Canny detector sees nothing."""
+    if edge not in ("rise", "fall", "line"):
+        raise InputError(f"{boundary} is {edge!r}; give 'rise', 'fall' or 'line'")
+    if method == "canny":
+        return canny_surface(scan.read, scan.shape, edge, first, last, sigma=scan.sigma)
+    if method != "surface":
+        raise InputError(f"method is {method!r}; give 'surface' or 'canny'")
+    return track(
+        scan.reduced,
+        edge,
+        sigma=scan.sigma,
+        spacing=scan.spacing,
+        first=first,
+        last=last,
+        anchors=fixes.anchor_pixels(boundary, scan.origin, scan.spacing),
+        excluded=fixes.excluded_pixels(boundary, scan.origin, scan.spacing, scan.shape[1:]),
+    )
+
+
+def _finish(
+    scan: _Scan,
+    found: dict[str, tuple[Edge, NDArray]],
+    fixes: Corrections,
+    method: Method,
+    progress: Progress,
+) -> dict[str, tuple[NDArray, NDArray, NDArray]]:
+    """Refine the boundaries found, reject what is not to be believed and fill the gaps.
+
+    Returns depth (pixels), quality and filled pixels of each boundary.
+    """
+    ny, nx = scan.shape[1:]
+    reach = int(round(BAND * scan.sigma)) + 2
+    bands = {name: np.empty((ny, nx, 2 * reach + 1), np.float32) for name in found}
+    starts = {
+        name: np.nan_to_num(np.round(depth), nan=0.0).astype(np.int64) - reach
+        for name, (_, depth) in found.items()
+    }
+    for y in range(ny):
+        image = scan.read(y)
+        for name in found:
+            take_band(image, starts[name][y], bands[name][y])
+        progress(0.5 * (y + 1) / ny)
+    parts = {}
+    for name, (edge, start) in found.items():
+        lateral = scan.lateral
+        depth, quality = refine(
+            bands.pop(name),
+            starts[name],
+            np.nan_to_num(start),
+            scan.reduced.floor,
+            edge,
+            sigma=scan.sigma,
+            cell=scan.cell,
+            lateral=lateral,
+        )
+        if method == "canny":
+            depth = start
+        excluded = fixes.excluded_pixels(name, scan.origin, scan.spacing, scan.shape[1:])
+        lost = ~np.isfinite(depth) | (quality < WORST_CONTRAST) | excluded
+        lost |= (depth < 0) | (depth > scan.shape[0] - 1)
+        if np.mean(lost) > 0.95:
+            raise InputError(
+                f"the {name} side of the layer is nowhere to be seen; check the volume, what the "
+                f"boundary looks like ({edge!r}) and the range it is searched in"
+            )
+        lost |= _outliers(np.where(lost, np.nan, depth), lateral, scan.sigma)
+        weights = [1.0 / scan.spacing[1] ** 2, 1.0 / scan.spacing[2] ** 2]
+        depth = _fill(np.where(lost, np.nan, depth), lost, weights)
+        parts[name] = depth, np.clip(quality, 0.0, 1.0), lost
+        progress(0.5 + 0.5 * len(parts) / len(found))
+    return parts
+
+
+def _outliers(
+    depth: NDArray[np.float64], lateral: tuple[float, float], sigma: float
+) -> NDArray[np.bool_]:
+    """Hampel identifier in two dimensions: far from the median of the neighbourhood."""
+    size = [2 * int(np.ceil(2.0 * s)) + 1 if n > 1 else 1 for s, n in zip(lateral, depth.shape, strict=True)]
+    known = np.where(np.isnan(depth), np.nanmedian(depth), depth)
+    off = np.abs(known - median_filter(known, size))
+    scale = 1.4826 * median_filter(off, size)
+    return off > HAMPEL * np.maximum(scale, sigma)

@@ -1,0 +1,152 @@
+"""B-scans as intensity, whatever they were stored as, and the resolution that their speckle shows.
+
+Both rest on the statistics of the noise and of fully developed speckle: an intensity is
+exponentially distributed, so its standard deviation is its mean, that of an amplitude 0.52 of it,
+and that of a logarithm a fixed number, 5.6 dB.
+"""
+
+from collections.abc import Callable
+from typing import Literal, Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from optical_palpation.errors import InputError
+
+Scale = Literal["linear", "dB"]
+Read = Callable[[int], NDArray[np.float32]]
+
+DB = np.log(10.0) / 10.0
+LOG_SPREAD = np.pi / np.sqrt(6.0)  # standard deviation of the logarithm of an exponential number
+SAMPLES = 7  # B-scans looked at for what holds for the whole volume
+TILE = (32, 16)  # pixels along z and x over which statistics are taken
+SIGMA_RANGE = (0.4, 12.0)  # pixels; beyond it speckle does not tell its width
+
+
+class BScans(Protocol):
+    """Anything that gives B-scans `[z, x]` by their number; `shape` counts (z, y, x)."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]: ...  # noqa: D102
+    def bscan(self, y: int, /) -> NDArray: ...  # noqa: D102
+
+
+@njit(cache=True, nogil=True)
+def _convert(image, square, gain, offset):
+    """Intensity of a B-scan in place: exp(gain v - offset), or v or v^2 if gain is 0.
+
+    Padding (zeros or no numbers at either end of a column) and missing values become -1.
+    """
+    nz, nx = image.shape
+    missing = np.zeros((nz, nx), np.bool_)
+    for way in range(2):
+        inside = np.zeros(nx, np.bool_)
+        for i in range(nz):
+            z = i if way == 0 else nz - 1 - i
+            for x in range(nx):
+                v = image[z, x]
+                if v != 0.0 and np.isfinite(v):
+                    inside[x] = True
+                elif not inside[x] or v != 0.0:
+                    missing[z, x] = True
+    for z in range(nz):
+        for x in range(nx):
+            v = image[z, x]
+            if missing[z, x]:
+                image[z, x] = -1.0
+            elif gain > 0:
+                image[z, x] = np.exp(gain * v - offset)
+            else:
+                image[z, x] = v * v if square else max(v, np.float32(0.0))
+
+
+def _tiles(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Tiles `[tile, z, x]` of a B-scan."""
+    tz, tx = min(TILE[0], image.shape[0]), min(TILE[1], image.shape[1])
+    nz, nx = image.shape[0] // tz, image.shape[1] // tx
+    cut = image[: nz * tz, : nx * tx].reshape(nz, tz, nx, tx)
+    return cut.transpose(0, 2, 1, 3).reshape(nz * nx, tz, tx)
+
+
+def _some(ny: int) -> NDArray[np.int64]:
+    return np.unique(np.linspace(0, ny - 1, SAMPLES).astype(np.int64))
+
+
+def intensity_reader(volume: BScans, scale: Scale) -> Read:
+    """Return a function that gives B-scans as intensity, -1 where there is no data.
+
+    A linear signal is an amplitude or an intensity, which its noise tells. Decibels whose noise
+    is much rougher than noise can be are a logarithm in another unit, and are scaled to it.
+    """
+    if scale not in ("linear", "dB"):
+        raise InputError(f"scale is {scale!r}; give 'linear' or 'dB'")
+
+    def raw(y: int) -> NDArray[np.float32]:
+        image = np.asarray(volume.bscan(y))
+        if image.ndim != 2 or image.shape != (volume.shape[0], volume.shape[2]):
+            raise InputError(f"B-scan {y} has the shape {image.shape}, not that of the volume")
+        image = np.abs(image) if np.iscomplexobj(image) else image
+        return np.array(image, np.float32, order="C")
+
+    spread, level = [], []
+    for y in _some(volume.shape[1]):
+        image = raw(int(y))
+        tiles = _tiles(image)
+        tiles = tiles[np.all(np.isfinite(tiles) & (tiles != 0 if scale == "dB" else True), (1, 2))]
+        if len(tiles) == 0:
+            continue
+        mean = tiles.mean((1, 2))
+        quiet = tiles[mean <= np.quantile(mean, 0.25)]
+        spread.append(np.median(quiet.std((1, 2))))
+        level.append(np.median(quiet.mean((1, 2))))
+    if not spread:
+        raise InputError("the volume holds no stretch of finite data to tell noise from signal by")
+    deviation, mean = float(np.median(spread)), float(np.median(level))
+    square, gain, offset = False, 0.0, 0.0
+    if scale == "linear":
+        square = deviation < 0.75 * mean
+    else:
+        gain = DB if deviation < 8.0 else LOG_SPREAD / deviation
+        offset = gain * mean
+
+    def read(y: int) -> NDArray[np.float32]:
+        image = raw(y)
+        _convert(image, square, np.float32(gain), np.float32(offset))
+        return image
+
+    return read
+
+
+def point_spread(read: Read, ny: int) -> tuple[float, float]:
+    """Standard deviations (z, x), pixels, of the intensity point-spread function.
+
+    The speckle of many independent scatterers has the intensity correlation exp(-d^2 / 4 s^2)
+    for a Gaussian point-spread function of standard deviation s, and so has the image of a single
+    reflector. Lag 0 holds the noise too and is left out.
+    """
+    products = np.zeros((2, TILE[0]))
+    for y in _some(ny):
+        tiles = _tiles(np.maximum(read(int(y)), 0.0))
+        mean = tiles.mean((1, 2), keepdims=True)
+        bright = mean.ravel() >= max(np.quantile(mean, 0.8), 2.0 * np.median(mean))
+        if not np.any(bright):
+            bright = mean.ravel() >= np.quantile(mean, 0.8)
+        speckle = np.minimum(tiles[bright] / np.maximum(mean[bright], 1e-30), 6.0)
+        speckle = speckle - speckle.mean(axis=2, keepdims=True)  # what is level is structure
+        for axis in (1, 2):
+            n = speckle.shape[axis]
+            for lag in range(n // 2):
+                a, b = (np.take(speckle, range(i, n - lag + i), axis) for i in (0, lag))
+                products[axis - 1, lag] += np.mean(a * b)
+    return _width(products[0]), _width(products[1])
+
+
+def _width(products: NDArray[np.float64]) -> float:
+    """Width of the point-spread function from sums of lagged products."""
+    first, lags = products[1], products[2:]
+    if first <= 0.05 * products[0]:
+        return SIGMA_RANGE[0]
+    far = 2 + int(np.argmax(lags < 0.5 * first)) if np.any(lags < 0.5 * first) else len(lags) + 1
+    drop = np.log(first / max(products[far], 0.02 * first))
+    return float(np.clip(np.sqrt((far**2 - 1) / (4.0 * max(drop, 1e-9))), *SIGMA_RANGE))

@@ -1,0 +1,260 @@
+"""Boundaries to a fraction of a pixel, from the intensity around a first estimate of them.
+
+The intensity is flattened along the estimate, so that averaging laterally over a few resolution
+cells leaves the edge sharp. The boundary is then where the averaged profile is most likely: speckle
+being exponential, an average of it is gamma distributed, with the mean of a step that is blurred
+by the point-spread function. Estimate and average are repeated until the surface stays.
+"""
+
+import math
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy.special import ndtr
+
+from .tracking import Edge, column_weights
+
+PIXEL_VARIANCE = 1 / 12 + 1 / 12  # blur by the pixel itself and by interpolation between pixels
+OFFSET = 0.1  # of the bright side, added to the profile: keeps faint tails from steering
+
+
+@njit(cache=True, nogil=True)
+def take_band(intensity, first, out):
+    """Copy the rows first[x] ... of each column of a B-scan `[z, x]` to out `[x, k]`."""
+    nz, nx = intensity.shape
+    for k in range(out.shape[1]):
+        for x in range(nx):
+            z = first[x] + k
+            if 0 <= z < nz:
+                out[x, k] = intensity[z, x]
+            else:
+                out[x, k] = -1.0
+
+
+@njit(cache=True, parallel=True)
+def _flatten(band, centre, weight, profile, share):
+    """Weighted profiles around `centre[y, x]` (pixels of the band), and their weights."""
+    ny, nx, nk = profile.shape
+    half = nk // 2
+    for y in prange(ny):
+        for x in range(nx):
+            for k in range(nk):
+                at = centre[y, x] + k - half
+                lower = int(math.floor(at))
+                part = np.float32(at - lower)
+                value = np.float32(0.0)
+                count = np.float32(0.0)
+                if 0 <= lower and lower + 1 < band.shape[2]:
+                    a, b = band[y, x, lower], band[y, x, lower + 1]
+                    if a >= 0 and b >= 0:
+                        value = weight[y, x] * ((1 - part) * a + part * b)
+                        count = weight[y, x]
+                profile[y, x, k] = value
+                share[y, x, k] = count
+
+
+@njit(cache=True, parallel=True)
+def _fit_step(profile, level, rises, dark_ends, bright_starts, step, shift, contrast):
+    """Most likely position of a blurred step in each profile, and the contrast of its sides.
+
+    `rises[i, t, k]` is the unit step of width i at trial position t, flat below pixel
+    `dark_ends[i, t]` and not blurred from `bright_starts[i, t]` on; `level[y, x]` chooses the width.
+    A parabola through the best three trials gives the fraction. The contrast is that of Michelson,
+    (bright - dark) / (bright + dark).
+    """
+    ny, nx, nk = profile.shape
+    tries = rises.shape[1]
+    for y in prange(ny):
+        score = np.empty(tries)
+        contrasts = np.empty(tries)
+        total = np.empty(nk + 1)
+        for x in range(nx):
+            p = profile[y, x]
+            total[0] = 0.0
+            for k in range(nk):
+                total[k + 1] = total[k] + p[k]
+            quarter = nk // 4
+            offset = OFFSET * (total[nk] - total[nk - quarter]) / quarter + 1e-30
+            best = 0
+            for t in range(tries):
+                rise = rises[level[y, x], t]
+                top, bottom = dark_ends[level[y, x], t], bright_starts[level[y, x], t]
+                dark = total[top] / top
+                height = (total[nk] - total[bottom] - (nk - bottom) * dark) / rise[bottom:].sum()
+                score[t] = np.inf
+                contrasts[t] = max(0.0, height / (height + 2.0 * dark + 1e-30))
+                if height > 0:
+                    score[t] = 0.0
+                    for k in range(nk):
+                        mean = dark + height * rise[k] + offset
+                        score[t] += math.log(mean) + (p[k] + offset) / mean
+                if score[t] < score[best]:
+                    best = t
+            contrast[y, x] = contrasts[best]
+            shift[y, x] = (best - tries // 2) * step
+            if 0 < best < tries - 1:
+                a, b = score[best - 1] - score[best], score[best + 1] - score[best]
+                if 0 < a + b < np.inf:
+                    shift[y, x] += 0.5 * step * (a - b) / (a + b)
+
+
+@njit(cache=True, parallel=True)
+def _fit_line(profile, kernel, reach, shift, quality):
+    """Centre of the line in each profile, by correlation of its logarithm with `kernel`.
+
+    The logarithm makes a saturated line and its side lobes as symmetric as they are, and no
+    brighter than they need be.
+    """
+    ny, nx, nk = profile.shape
+    half, wide = nk // 2, len(kernel) // 2
+    for y in prange(ny):
+        log = np.empty(nk)
+        score = np.empty(2 * reach + 1)
+        for x in range(nx):
+            brightest = max(profile[y, x].max(), 1e-30)
+            for k in range(nk):
+                log[k] = math.log(profile[y, x, k] + 1e-4 * brightest)
+            best = 0
+            for t in range(2 * reach + 1):
+                score[t] = np.sum(
+                    log[half + t - reach - wide : half + t - reach + wide + 1] * kernel
+                )
+                if score[t] > score[best]:
+                    best = t
+            shift[y, x] = best - reach
+            k = half + best - reach
+            line = profile[y, x, k]
+            flank = max(profile[y, x, : k - wide + 1].mean(), profile[y, x, k + wide :].mean())
+            quality[y, x] = max(0.0, (line - flank) / (line + flank + 1e-30))
+            if 0 < best < 2 * reach:
+                a, b = score[best] - score[best - 1], score[best] - score[best + 1]
+                if a + b > 0:
+                    shift[y, x] += 0.5 * (b - a) / (a + b) * -1.0
+
+
+def averaged(
+    profile: NDArray[np.float32], share: NDArray[np.float32], sigmas: tuple[float, float]
+) -> NDArray[np.float32]:
+    """Gaussian lateral average of weighted profiles `[y, x, k]`; no data take the mean of all."""
+    for axis, sigma in enumerate(sigmas):
+        if profile.shape[axis] > 1:
+            gaussian_filter1d(
+                profile, sigma, axis=axis, mode="reflect", truncate=2.5, output=profile
+            )
+            gaussian_filter1d(share, sigma, axis=axis, mode="reflect", truncate=2.5, output=share)
+    weight = np.sum(share, axis=2, keepdims=True)
+    mean = np.sum(profile, axis=2, keepdims=True) / np.maximum(weight, 1e-30)
+    return np.where(share > 1e-6, profile / np.maximum(share, 1e-6), mean)
+
+
+def refine(
+    band: NDArray[np.float32],
+    first: NDArray[np.int64],
+    start: NDArray[np.float64],
+    floor: NDArray[np.float32],
+    edge: Edge,
+    *,
+    sigma: float,
+    cell: tuple[float, float],
+    lateral: tuple[float, float],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Depth of a boundary to a fraction of a pixel, and its quality in [0, 1].
+
+    Parameters
+    ----------
+    band
+        Intensity `[y, x, k]` from the row `first[y, x]` of the volume on; negative: no data.
+    start
+        First estimate `[y, x]`, pixels.
+    floor
+        Noise floor of the A-scans `[y, x]`.
+    edge, sigma
+        As for `tracking.track`.
+    cell
+        Standard deviations of the lateral point-spread function along (y, x), pixels.
+    lateral
+        Those of the lateral average.
+    """
+    if edge == "fall":
+        last = band.shape[2] - 1
+        flipped = np.ascontiguousarray(band[..., ::-1])
+        depth, quality = refine(
+            flipped, -(first + last), -start, floor, "rise", sigma=sigma, cell=cell, lateral=lateral
+        )
+        return -depth, quality
+    half = max(int(round(14.0 * sigma)), 8)
+    weight = column_weights(floor)
+    depth = start.copy()
+    profile, share = np.empty((2, *start.shape, 2 * half + 1), np.float32)
+    for reach in (8.0 * sigma, 3.0 * sigma, 2.0 * sigma):
+        # Flattening along the noise of the last estimate would confirm it: smooth it first.
+        depth = _smooth(depth, tuple(0.5 * s for s in lateral))
+        _flatten(band, depth - first, weight, profile, share)
+        mean = averaged(profile, share, lateral)
+        if edge == "rise":
+            slope = np.hypot(
+                *(
+                    np.gradient(depth, axis=i) * cell[i] if n > 1 else 0.0 * depth
+                    for i, n in enumerate(depth.shape)
+                )
+            )
+            shift, quality = _step_shift(mean, sigma, slope, reach)
+        else:
+            shift, quality = np.zeros((2, *start.shape))
+            wide = max(int(round(4.0 * sigma)), 2)
+            kernel = np.exp(-(np.arange(-wide, wide + 1) ** 2) / (4.0 * sigma**2))
+            _fit_line(mean, kernel, min(int(round(reach)), half - wide - 1), shift, quality)
+        depth = depth + shift
+    return depth, quality
+
+
+def _step_shift(
+    mean: NDArray[np.float32], sigma: float, slope_blur: NDArray[np.float64], reach: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shift of the step in averaged profiles, and its contrast.
+
+    The step is wider than the axial point-spread function by the slope of the surface within the
+    lateral one (`slope_blur`, pixels) and by the pixels themselves; below it the mean falls as the
+    sample attenuates the light.
+    """
+    half = mean.shape[2] // 2
+    step = sigma / 3.0
+    trials = step * np.arange(-round(reach / step), round(reach / step) + 1)
+    depth = np.arange(-half, half + 1) - trials[:, None]
+    widths = sigma * 1.2 ** np.arange(10)[:, None, None]
+    rises = ndtr(depth / widths) * np.exp(-_decay(mean, sigma) * np.maximum(depth, 0.0))
+    dark_ends = np.maximum(np.sum(depth < -2.0 * widths, axis=-1), 1)
+    bright_starts = np.minimum(np.sum(depth <= 2.0 * widths, axis=-1), 2 * half)
+    blur = np.sqrt(sigma**2 + slope_blur**2 + PIXEL_VARIANCE)
+    level = np.argmin(np.abs(np.log(blur[..., None] / widths.ravel())), axis=-1)
+    shift, contrast = np.zeros((2, *level.shape))
+    _fit_step(
+        mean, level, rises.astype(np.float32), dark_ends, bright_starts, step, shift, contrast
+    )
+    return shift, contrast
+
+
+def _slope_blur(depth: NDArray[np.float64], cell: tuple[float, float]) -> NDArray[np.float64]:
+    """Spread of depth, pixels, that the surface has within the lateral point-spread function."""
+    blur = np.zeros_like(depth)
+    for axis, width in enumerate(cell):
+        if depth.shape[axis] > 1:
+            blur += (width * np.gradient(depth, axis=axis)) ** 2
+    return np.sqrt(blur)
+
+
+def _decay(mean: NDArray[np.float32], sigma: float) -> float:
+    """Attenuation of the sample below its surface, per pixel: a median over all profiles."""
+    half = mean.shape[2] // 2
+    cuts = [half + int(round(n * sigma)) for n in (3.0, 7.0, 11.0)]
+    near, far = (np.mean(mean[..., a:b], axis=-1) for a, b in zip(cuts, cuts[1:], strict=False))
+    good = (near > 0) & (far > 0)
+    ratio = np.median(near[good] / far[good]) if np.any(good) else 1.0
+    return max(float(np.log(ratio)) / (0.5 * (cuts[2] - cuts[0])), 0.0)
+
+
+def _smooth(a: NDArray[np.float64], sigmas: tuple[float, ...]) -> NDArray[np.float64]:
+    """Gaussian lateral average of a map; an axis of one pixel stays as it is."""
+    return gaussian_filter(a, [s if n > 1 else 0.0 for s, n in zip(sigmas, a.shape, strict=True)])

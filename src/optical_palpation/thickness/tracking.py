@@ -1,0 +1,240 @@
+"""Surfaces of least cost through a whole volume, to within a few pixels.
+
+The volume is reduced laterally to blocks, which averages speckle and bounds memory; each boundary
+is then the surface of least cost in the reduced volume, found by dynamic programming along the
+four lateral directions (semi-global matching: Hirschmueller, IEEE Trans. Pattern Anal. Mach.
+Intell. 30:328, 2008). `refinement` finishes the job at full resolution.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, maximum_filter1d, minimum_filter1d, uniform_filter1d
+
+from .intensity import Read
+
+Edge = Literal["rise", "fall", "line"]
+
+BLOCK = 4  # lateral pixels per side of a block: some ten looks at the speckle
+QUIET_ROWS = 32  # an A-scan's noise floor is taken from stretches of this many pixels
+SLOPE_COST = 0.12  # cost of a slope of 1 from block to block; a clear edge is worth 1
+JUMP_COST = 0.6  # the most that two neighbouring blocks can disagree for
+
+
+@njit(cache=True, nogil=True)
+def _noise_floor(intensity):
+    """Lower quartile over depth of the mean intensity of quiet stretches, per column."""
+    nz, nx = intensity.shape
+    n = nz // QUIET_ROWS
+    floor = np.zeros(nx, np.float32)
+    means = np.empty((nx, max(n, 1)), np.float32)
+    count = np.zeros(nx, np.int64)
+    for block in range(n):
+        total = np.zeros(nx, np.float32)
+        valid = np.zeros(nx, np.int64)
+        for z in range(block * QUIET_ROWS, (block + 1) * QUIET_ROWS):
+            for x in range(nx):
+                if intensity[z, x] >= 0:
+                    total[x] += intensity[z, x]
+                    valid[x] += 1
+        for x in range(nx):
+            if valid[x] == QUIET_ROWS:
+                means[x, count[x]] = total[x] / QUIET_ROWS
+                count[x] += 1
+    for x in range(nx):
+        if count[x] > 0:
+            floor[x] = np.sort(means[x, : count[x]])[count[x] // 4]
+    return floor
+
+
+@njit(cache=True, nogil=True)
+def _add_to_blocks(intensity, weight, total, share):
+    """Add the weighted columns of a B-scan `[z, x]` to sums per block `[block, z]`."""
+    nz, nx = intensity.shape
+    last = total.shape[0] - 1
+    for z in range(nz):
+        for x in range(nx):
+            if intensity[z, x] >= 0:
+                block = min(x // BLOCK, last)
+                total[block, z] += weight[x] * intensity[z, x]
+                share[block, z] += weight[x]
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Volume reduced to lateral blocks, and the noise floor of each A-scan.
+
+    `log` is the logarithm of the mean intensity `[y, x, z]` (NaN: no data); the block centres are
+    at the pixels `y` and `x`; `floor[y, x]` is at full lateral resolution, in linear intensity.
+    """
+
+    log: NDArray[np.float32]
+    y: NDArray[np.float64]
+    x: NDArray[np.float64]
+    floor: NDArray[np.float32]
+
+
+def column_weights(floor: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Weights of A-scans in an average: those that a saturated detector lifted count less."""
+    typical = np.median(floor)
+    return np.minimum(1.0, (typical / np.maximum(floor, 1e-30)) ** 2).astype(np.float32)
+
+
+def reduce_volume(
+    intensity: Read, shape: tuple[int, int, int], progress: Callable[[float], None]
+) -> Reduced:
+    """Read the volume once, B-scan by B-scan, into blocks; intensities below 0 are no data."""
+    nz, ny, nx = shape
+    nby, nbx = max(ny // BLOCK, 1), max(nx // BLOCK, 1)
+    log = np.empty((nby, nbx, nz), np.float32)
+    floor = np.empty((ny, nx), np.float32)
+    for by in range(nby):
+        total, share = np.zeros((2, nbx, nz), np.float32)
+        for y in range(by * BLOCK, ny if by == nby - 1 else (by + 1) * BLOCK):
+            image = intensity(y)
+            floor[y] = _noise_floor(image)
+            _add_to_blocks(image, column_weights(floor[y]), total, share)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean = np.where(share > 0, total / share, np.nan)
+            log[by] = np.log(np.maximum(mean, np.float32(1e-3) * np.median(floor[y])))
+        progress((by + 1) / nby)
+    centres = [
+        np.array([(i * BLOCK + (n if i == nb - 1 else (i + 1) * BLOCK) - 1) / 2 for i in range(nb)])
+        for n, nb in ((ny, nby), (nx, nbx))
+    ]
+    return Reduced(log, centres[0], centres[1], floor)
+
+
+def _mean_over(a: NDArray, first: int, last: int) -> NDArray:
+    """Mean of `a` over the pixels z + first ... z + last along the last axis, edges repeated."""
+    size = last - first + 1
+    shifted = np.clip(np.arange(a.shape[-1]) + first + size // 2, 0, a.shape[-1] - 1)
+    return uniform_filter1d(a, size, axis=-1, mode="nearest")[..., shifted]
+
+
+def _rise(log: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Evidence for a step from dark to bright that lasts: lines are opened away beforehand."""
+    above, below, line = (int(round(n * max(sigma, 1.0))) for n in (6.0, 16.0, 10.0))
+    no_data = np.isnan(log)
+    filled = np.where(no_data, np.nanmin(log), log)
+    opened = maximum_filter1d(minimum_filter1d(filled, line, axis=-1), line, axis=-1, origin=0)
+    step = _mean_over(opened, 1, below) - _mean_over(opened, -above, -1)
+    # A lone reflection (a metal sample, say) still beats nothing at all.
+    step = 0.8 * step + 0.2 * (_mean_over(filled, 1, below) - _mean_over(filled, -above, -1))
+    step[_mean_over(no_data.astype(np.float32), -above, -1) > 0.5] = 0.0
+    step[..., : above // 2] = 0.0
+    scale = np.median(np.max(step, axis=-1))
+    # Scattering that already lies above a candidate counts against it: the sample begins where
+    # the light first meets it, however bright its deeper structures are.
+    dark = np.nanpercentile(log, 20)
+    passed = np.cumsum(np.clip(opened - dark - 0.5 * scale, 0.0, scale), axis=-1) / below
+    return np.clip(step, 0.0, scale) / scale - passed / scale
+
+
+def _line(log: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Evidence for a bright line between darker flanks."""
+    near, far, half = (max(int(round(n * sigma)), k) for n, k in ((4.0, 3), (9.0, 5), (1.0, 1)))
+    filled = np.where(np.isnan(log), np.nanmin(log), log)
+    centre = _mean_over(filled, -half, half)
+    flank = np.maximum(_mean_over(filled, -far, -near), _mean_over(filled, near, far))
+    line = np.maximum(centre - flank, 0.0)
+    return line / np.median(np.max(line, axis=-1))
+
+
+@njit(cache=True)
+def _pass_along(cost, previous, slope, jump):
+    """One step of dynamic programming: `previous` becomes the path costs of the next node."""
+    nz = len(cost)
+    best = previous[0]
+    for z in range(1, nz):
+        best = min(best, previous[z])
+        previous[z] = min(previous[z], previous[z - 1] + slope)
+    for z in range(nz - 2, -1, -1):
+        previous[z] = min(previous[z], previous[z + 1] + slope)
+    for z in range(nz):
+        previous[z] = cost[z] + min(previous[z], best + jump) - best
+
+
+@njit(cache=True, parallel=True)
+def _aggregate(cost, total, slope, jump):
+    """Add the path costs along the rows of `cost[row, node, z]`, in both senses, to `total`."""
+    rows, nodes, nz = cost.shape
+    for row in prange(rows):
+        path = np.zeros(nz, np.float32)
+        for node in range(nodes):
+            _pass_along(cost[row, node], path, slope, jump)
+            total[row, node] += path
+        path = np.zeros(nz, np.float32)
+        for node in range(nodes - 1, -1, -1):
+            _pass_along(cost[row, node], path, slope, jump)
+            total[row, node] += path
+
+
+def track(
+    reduced: Reduced,
+    edge: Edge,
+    *,
+    sigma: float,
+    spacing: tuple[float, float, float],
+    first: NDArray[np.float64],
+    last: NDArray[np.float64],
+    anchors: list[tuple[float, float, float]] = [],
+    excluded: NDArray[np.bool_] | None = None,
+) -> NDArray[np.float64]:
+    """Depth (pixels, at full lateral resolution) of the surface of least cost.
+
+    Parameters
+    ----------
+    reduced
+        The volume.
+    edge
+        What the boundary looks like: dark to bright, bright to dark, or a line.
+    sigma
+        Standard deviation of the axial intensity point-spread function, pixels.
+    spacing
+        Pixel spacing (z, y, x), mm.
+    first, last
+        Depths `[y, x]`, pixels, between which the surface lies.
+    anchors
+        Points (y, x, z), pixels, through which it passes.
+    excluded
+        Pixels `[y, x]` that say nothing about it.
+    """
+    log = reduced.log
+    if edge == "fall":
+        cost = -_rise(np.ascontiguousarray(log[..., ::-1]), sigma)[..., ::-1]
+    else:
+        cost = -(_rise if edge == "rise" else _line)(log, sigma)
+    cost = np.ascontiguousarray(cost, np.float32)
+    iy, ix = np.round(reduced.y).astype(int), np.round(reduced.x).astype(int)
+    z = np.arange(log.shape[-1])
+    nodes = np.ix_(iy, ix)
+    outside = (z < first[nodes][..., None]) | (z > last[nodes][..., None])
+    if excluded is not None:
+        cost[excluded[nodes]] = 0.0
+    cost[outside] = 2.0
+    for y, x, depth in anchors:
+        node = np.argmin(np.abs(reduced.y - y)), np.argmin(np.abs(reduced.x - x))
+        cost[node] = 10.0 * np.minimum(np.abs(z - depth) / (2.0 * sigma), 1.0)
+    total = -3.0 * cost if len(iy) > 1 else -cost
+    dz, dy, dx = spacing
+    steps = [BLOCK * d / dz for d in (dy, dx)]  # pixels along z per block for a slope of 1
+    _aggregate(cost, total, np.float32(SLOPE_COST / steps[1]), np.float32(JUMP_COST))
+    if len(iy) > 1:
+        turned, turned_total = cost.transpose(1, 0, 2), total.transpose(1, 0, 2)
+        _aggregate(turned, turned_total, np.float32(SLOPE_COST / steps[0]), np.float32(JUMP_COST))
+    coarse = np.argmin(total, axis=-1).astype(float)
+    return _to_full(coarse, reduced)
+
+
+def _to_full(coarse: NDArray[np.float64], reduced: Reduced) -> NDArray[np.float64]:
+    """Bilinear interpolation of a block map to every pixel, flat beyond the outer centres."""
+    ny, nx = reduced.floor.shape
+    at = [
+        np.interp(np.arange(n), c, np.arange(len(c))) for n, c in ((ny, reduced.y), (nx, reduced.x))
+    ]
+    return map_coordinates(coarse, np.meshgrid(*at, indexing="ij"), order=1)
