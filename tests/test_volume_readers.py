@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import scipy.io
 import tifffile
-import volume_samples as samples
 from hypothesis import given
 from hypothesis import strategies as st
 
+import volume_samples as samples
 from optical_palpation.errors import InputError
 from optical_palpation.volume import open_volume
 
@@ -138,7 +138,7 @@ def test_refractive_index_turns_optical_into_physical_depth(tmp_path: Path) -> N
 def test_thorlabs_members_that_are_not_supported_are_named(tmp_path: Path) -> None:
     data = samples.volume()
     spectral = (
-        '<DataFile Type="Raw" SizeZ="2048" SizeX="600" BytesPerPixel="2">data\\Spectral0.data</DataFile>'
+        '<DataFile Type="Raw" SizeZ="2048" SizeX="600">data\\Spectral0.data</DataFile>'
         '<DataFile Type="Complex" SizeZ="7" SizeX="6">data\\Complex.data</DataFile>'
     )
     path = samples.thorlabs(
@@ -179,7 +179,7 @@ def test_thorlabs_real_member_is_float32(shared_data: Path, tmp_path: Path) -> N
     chirp = (shared_data / "layers" / "thorlabs_Chirp.data").read_bytes()
     data = samples.volume()
     xml = samples.header_xml(data.shape).replace(
-        'SizeZ="2048" RangeZ="1"', 'SizeZ="64" SizeX="32" RangeZ="1"'
+        'SizeZ="2048" RangeZ="1"', 'SizeZ="64" SizeX="32" RangeZ="1" RangeX="1"'
     )
     path = samples.thorlabs(tmp_path / "a.oct", data, chirp=chirp, xml=xml)
     with open_volume(path, variable="Chirp", refractive_index=1.0) as volume:

@@ -56,7 +56,7 @@ def header_xml(
 <Ocity version="1.0">
   <MetaInfo><Comment>h&#252;bsch</Comment><AcquisitionMode>Mode3D</AcquisitionMode></MetaInfo>
   <DataFiles>
-    <DataFile Type="Real" SizeZ="2048" RangeZ="1" RangeX="1" RangeY="1" BytesPerPixel="4">data{slash}Chirp.data</DataFile>
+    <DataFile Type="Real" SizeZ="2048" RangeZ="1" BytesPerPixel="4">data{slash}Chirp.data</DataFile>
     {extra}
     <DataFile Type="{kind}" {attributes} BytesPerPixel="4">data{slash}Intensity.data</DataFile>
   </DataFiles>
@@ -262,7 +262,8 @@ def _raw(folder: Path, data: np.ndarray) -> Sample:
     nz, ny, nx = data.shape
     sidecar = folder / "scan.raw.toml"
     sidecar.write_text(
-        f'dtype = "uint16"\nbyte_order = "big"\noffset = 4\nshape = [{ny}, {nx}, {nz}]\naxes = "yxz"\n'
+        f'dtype = "uint16"\nbyte_order = "big"\noffset = 4\naxes = "yxz"\n'
+        f"shape = [{ny}, {nx}, {nz}]\n"
         f"spacing_mm = [{SPACING['y']}, {SPACING['x']}, {SPACING['z']}]\nscale = 'linear'\n"
     )
     return path, {}

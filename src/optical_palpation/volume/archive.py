@@ -42,7 +42,16 @@ def open_archive(path: Path) -> zipfile.ZipFile:
             (directory,) = struct.unpack_from("<Q", stream.read(56), 40)
     if directory > _MAX_DIRECTORY_BYTES:
         raise InputError(f"{path}: a zip directory of {directory} bytes is not that of a volume")
-    return zipfile.ZipFile(path)
+    archive = zipfile.ZipFile(path)
+    for member in archive.infolist():
+        name = plain_name(member.filename)
+        if name.startswith("/") or ":" in name or ".." in name.split("/"):
+            archive.close()
+            raise InputError(
+                f"{path}: has a member {member.filename!r} that points out of the archive: not "
+                "written by OCT software, and not safe to unpack"
+            )
+    return archive
 
 
 def plain_name(name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -48,15 +49,17 @@ def read(path: Path, variable: str | None) -> Source:
             f"{path}: frames are {header.get('PhotometricInterpretation')}; only grey ones "
             "(MONOCHROME2) are supported"
         )
-    frames = int(header.get("NumberOfFrames", 1) or 1)
-    rows, columns, bits = (int(header.get(k, 0)) for k in ("Rows", "Columns", "BitsAllocated"))
+    frames = int(_number(path, header, "NumberOfFrames", 1) or 1)
+    names = ("Rows", "Columns", "BitsAllocated")
+    rows, columns, bits = (int(_number(path, header, n, 0)) for n in names)
     if bits not in (8, 16, 32):
         raise InputError(f"{path}: {bits} bits per sample are not supported")
     stored = np.dtype(f"{'i' if header.get('PixelRepresentation', 0) else 'u'}{bits // 8}")
     check_array((frames, rows, columns), stored, str(path))
     size = path.stat().st_size
     needed = nbytes((frames, rows, columns), stored)
-    compressed = header.file_meta.TransferSyntaxUID.is_compressed
+    syntax = meta.get("TransferSyntaxUID")
+    compressed = syntax is not None and syntax.is_compressed
     if needed > (size * _MAX_RATIO if compressed else size):
         raise InputError(
             f"{path}: {frames} frames of {rows} x {columns} do not fit in {size} bytes"
@@ -64,8 +67,8 @@ def read(path: Path, variable: str | None) -> Source:
     if nbytes((rows, columns), stored) > MAX_BSCAN_BYTES:
         raise InputError(f"{path}: frames of {rows} x {columns} samples are too large")
 
-    slope = float(header.get("RescaleSlope", 1) or 1)
-    intercept = float(header.get("RescaleIntercept", 0) or 0)
+    slope = _number(path, header, "RescaleSlope", 1)
+    intercept = _number(path, header, "RescaleIntercept", 0)
     scaled = (slope, intercept) != (1.0, 0.0)
 
     def read_page(index: int) -> NDArray[Any]:
@@ -77,20 +80,36 @@ def read(path: Path, variable: str | None) -> Source:
     )
     if frames == 1:
         array = squeezed(array, keep=2)
-    return Source(array, _stated(header, frames), "streamed")
+    return Source(array, _stated(path, header, frames), "streamed")
 
 
-def _stated(header: Any, frames: int) -> Stated:
+def _stated(path: Path, header: Any, frames: int) -> Stated:
     """Take spacing from the frame's pixel measures, wherever the kind of image keeps them."""
     measures = header
     for sequence in ("SharedFunctionalGroupsSequence", "PixelMeasuresSequence"):
         if sequence in measures and len(measures[sequence].value) == 1:
             measures = measures[sequence].value[0]
-    pixel = measures.get("PixelSpacing")
-    rows, columns = (
-        (float(v) for v in pixel) if pixel is not None and len(pixel) == 2 else (None, None)
-    )
-    between = measures.get("SpacingBetweenSlices")
+    rows, columns = _numbers(path, measures, "PixelSpacing", 2)
+    (between,) = _numbers(path, measures, "SpacingBetweenSlices", 1)
     if frames == 1:
         return Stated(axes="zx", spacing=(rows, columns))
-    return Stated(axes="yzx", spacing=(None if between is None else float(between), rows, columns))
+    return Stated(axes="yzx", spacing=(between, rows, columns))
+
+
+def _number(path: Path, header: Any, name: str, default: float) -> float:
+    (value,) = _numbers(path, header, name, 1)
+    return default if value is None else value
+
+
+def _numbers(path: Path, header: Any, name: str, count: int) -> list[float | None]:
+    """Values of an element, or None for each where the element is absent or empty."""
+    value = header.get(name)
+    if value is None or value == "":
+        return [None] * count
+    try:
+        values: list[float | None] = [float(v) for v in (value if count > 1 else [value])]
+    except (TypeError, ValueError):
+        values = []
+    if len(values) != count or not all(v is not None and math.isfinite(v) for v in values):
+        raise InputError(f"{path}: {name} is {value!r}")
+    return values

@@ -22,6 +22,7 @@ from .volume import Source
 FORMAT = "B-scan images"
 
 _MAGIC = (b"\x89PNG\r\n\x1a\n", b"BM", b"\xff\xd8\xff")
+_SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff")
 _PILLOW_FORMATS = ("PNG", "BMP", "JPEG")
 _TYPES = {"L": np.uint8, "I;16": np.uint16, "I;16B": np.uint16, "I": np.int32, "F": np.float32}
 
@@ -55,8 +56,13 @@ def _images(folder: Path) -> list[Path]:
     for file in folder.iterdir():
         if file.is_file() and not file.name.startswith("."):
             with file.open("rb") as stream:
-                if stream.read(8).startswith(_MAGIC + tiff._MAGIC):
+                if stream.read(8).startswith(_MAGIC + tiff.MAGIC):
                     found.append(file)
+                elif file.suffix.lower() in _SUFFIXES:
+                    # Passed over, it would leave a gap along y.
+                    raise InputError(
+                        f"{file}: is no image, whatever its name says; empty or damaged?"
+                    )
     return sorted(found, key=_natural)
 
 

@@ -146,7 +146,10 @@ class _Inflated:
             if not raw:
                 raw = self._file.read(min(2**16, self._left))
                 self._left -= len(raw)
-            part = self._zlib.decompress(raw, n)
+            try:
+                part = self._zlib.decompress(raw, n)
+            except zlib.error as error:
+                raise InputError(f"{self._file.name}: damaged variable ({error})") from error
             if not part and not raw:
                 break
             parts.append(part)
@@ -176,6 +179,8 @@ def _header(
     flags, _ = _words(_exactly(stream, 8, str(path)), order, path)
     dims = _element(stream, order, path)
     name = _element(stream, order, path).rstrip(b"\0").decode("latin-1")
+    if len(dims) % 4:
+        raise InputError(f"{path}: the dimensions of {name} take {len(dims)} bytes: damaged")
     shape = tuple(int(n) for n in np.frombuffer(dims, order + "i4"))
     if any(n < 0 for n in shape):
         raise InputError(f"{path}: {name} has a negative dimension {shape}")

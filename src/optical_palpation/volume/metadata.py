@@ -7,11 +7,13 @@ guessed.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 from xml.etree import ElementTree
+
+import numpy as np
 
 from ..errors import InputError
 
@@ -67,7 +69,8 @@ class VolumeMetadata:
         The file (or folder) and its format.
     access
         ``"mapped"``: only the samples asked for are read. ``"streamed"``: whole pages or
-        chunks are decoded, those of the B-scan asked for. ``"loaded"``: the format forces the whole volume into memory.
+        chunks are decoded, those of the B-scan asked for. ``"loaded"``: the format
+        forces the whole volume into memory.
     """
 
     shape: tuple[int, int, int]
@@ -282,14 +285,15 @@ def _text(value: Any, where: str) -> str | None:
     """Text from a str, bytes, or the 0-d or 1-element arrays that file formats make of it."""
     if value is None:
         return None
-    while hasattr(value, "tolist") or (
-        isinstance(value, Sequence) and not isinstance(value, (str, bytes))
-    ):
-        value = value.tolist() if hasattr(value, "tolist") else value
-        if isinstance(value, list | tuple):
-            if len(value) != 1:
-                raise InputError(f"{where} must be one text")
-            value = value[0]
+    array = np.asarray(value)
+    if array.size != 1 or array.dtype.itemsize > 400:
+        raise InputError(f"{where} must be one short text")
+    # NumPy makes strings, broken ones, of numbers that are no characters.
+    if array.dtype.kind == "U":
+        codes = np.frombuffer(array.tobytes(), array.dtype.str[0] + "u4")
+        if codes.max(initial=0) > 0x10FFFF:
+            raise InputError(f"{where} is no text")
+    value = array.item()
     if isinstance(value, bytes):
         value = value.decode("utf-8", errors="replace")
     if not isinstance(value, str) or len(value) > 100:
@@ -300,8 +304,6 @@ def _text(value: Any, where: str) -> str | None:
 def _numbers(value: Any, where: str) -> tuple[float, ...] | None:
     if value is None:
         return None
-    import numpy as np
-
     array = np.asarray(value)
     if array.dtype.kind not in "iuf" or array.size > 10:
         raise InputError(f"{where} must be a few real numbers")

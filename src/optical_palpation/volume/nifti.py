@@ -50,10 +50,12 @@ def read(path: Path, variable: str | None) -> Source:
     with path.open("rb") as stream:
         compressed = stream.read(2) == _GZIP
     with gzip.open(path) if compressed else path.open("rb") as stream:
-        size = struct.unpack("<i", stream.read(4))[0]
-        stream.seek(0)
-        kind = nibabel.Nifti2Image if size in (540, 469893120) else nibabel.Nifti1Image
-        header = kind.header_class.from_fileobj(stream)
+        block = stream.read(540)
+    # From the block alone: extensions, of any declared size, stay unread.
+    if 540 in struct.unpack("<i", block[:4]) + struct.unpack(">i", block[:4]):
+        header: Any = nibabel.Nifti2Header(block)
+    else:
+        header = nibabel.Nifti1Header(block[:348])
     shape = tuple(int(n) for n in header.get_data_shape())
     dtype = header.get_data_dtype()
     proxy = nibabel.arrayproxy.ArrayProxy(str(path), header, mmap=False)

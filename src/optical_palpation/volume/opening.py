@@ -118,6 +118,8 @@ def _head(path: Path) -> bytes:
     try:
         if path.is_dir():
             return b""
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is neither a file nor a folder")
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
     except (OSError, ValueError) as error:

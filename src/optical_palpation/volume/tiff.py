@@ -8,20 +8,23 @@ more often hold a printer's 72 dpi.
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from .archive import check_ratio
 from .arrays import MAX_BSCAN_BYTES, FileArray, PagedArray, check_array, nbytes
 from .metadata import Stated, parse_xml, to_mm
 from .volume import Source
 
 FORMAT = "TIFF"
 
-_MAGIC = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+MAGIC = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+_MAX_PAGES, _MAX_TAGS = 100_000, 4096
 # Vendors' multi-page conventions; some follow references to other files.
 _VENDORS = (
     *("lsm", "mmstack", "ndtiff", "fluoview", "stk", "sis", "svs", "scn", "qpi", "ndpi", "bif"),
@@ -31,13 +34,14 @@ _VENDORS = (
 
 def recognises(path: Path, head: bytes) -> bool:
     """Tell by the byte-order mark of TIFF or BigTIFF."""
-    return head[:4] in _MAGIC
+    return head[:4] in MAGIC
 
 
 def read(path: Path, variable: str | None) -> Source:
     """Read the page directories."""
     import tifffile
 
+    _check_directories(path)
     ignored: dict[str, Any] = {f"is_{vendor}": False for vendor in _VENDORS}
     file = tifffile.TiffFile(path, **ignored)
     try:
@@ -45,6 +49,36 @@ def read(path: Path, variable: str | None) -> Source:
     except BaseException:
         file.close()
         raise
+
+
+def _check_directories(path: Path) -> None:
+    """Walk the chain of page directories once: tifffile follows a circular one for ever."""
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        head = _exactly(stream, 16, path)
+        order = "<" if head[:2] == b"II" else ">"
+        big = head[2:4] in (b"+\x00", b"\x00+")
+        count, tag, link = ("Q", 20, "Q") if big else ("H", 12, "I")
+        (position,) = struct.unpack_from(order + link, head, 8 if big else 4)
+        seen: set[int] = set()
+        while position:
+            if position in seen or len(seen) >= _MAX_PAGES:
+                raise InputError(f"{path}: its chain of pages is circular or too long: damaged")
+            seen.add(position)
+            stream.seek(position)
+            (tags,) = struct.unpack(order + count, _exactly(stream, struct.calcsize(count), path))
+            end = position + struct.calcsize(count) + tags * tag
+            if tags > _MAX_TAGS or end > size:
+                raise InputError(f"{path}: page directory {len(seen) - 1} is damaged")
+            stream.seek(end)
+            (position,) = struct.unpack(order + link, _exactly(stream, struct.calcsize(link), path))
+
+
+def _exactly(stream: IO[bytes], n: int, path: Path) -> bytes:
+    data = stream.read(n)
+    if len(data) != n:
+        raise InputError(f"{path}: ends within its chain of pages: truncated")
+    return data
 
 
 def page_array(path: Path, file: Any) -> Any:
@@ -57,7 +91,7 @@ def page_array(path: Path, file: Any) -> Any:
     (series,) = file.series
     page = series.keyframe
     shape, dtype = tuple(series.shape), series.dtype
-    if dtype is None:
+    if dtype is None or page.dtype is None:
         raise InputError(f"{path}: samples of an unsupported type")
     if page.samplesperpixel != 1 or page.photometric not in (0, 1):
         raise InputError(f"{path}: colour images; save the OCT signal in grey")
@@ -85,16 +119,15 @@ def page_array(path: Path, file: Any) -> Any:
 
 def _check_segments(path: Path, number: int, single: Any, keyframe: Any) -> None:
     """Refuse pages whose strips or tiles are missing: tifffile would fill them with zeros."""
-    counts = single.databytecounts if single is not None else ()
-    if not counts or min(counts) <= 0 or min(single.dataoffsets) <= 0:
+    offsets, counts = (
+        (single.dataoffsets, single.databytecounts) if single is not None else ((), ())
+    )
+    if not counts or len(offsets) != len(counts) or min(counts) <= 0 or min(offsets) <= 0:
         raise InputError(f"{path}: page {number} has no samples: truncated or damaged")
-    end = max(o + n for o, n in zip(single.dataoffsets, counts, strict=True))
+    end = max(o + n for o, n in zip(offsets, counts, strict=True))
     if end > path.stat().st_size:
         raise InputError(f"{path}: page {number} lies beyond the end of the file: truncated")
-    if nbytes(keyframe.shape, keyframe.dtype) > 2**24 and sum(counts) * 1000 < nbytes(
-        keyframe.shape, keyframe.dtype
-    ):
-        raise InputError(f"{path}: page {number} is far too small for {keyframe.shape} samples")
+    check_ratio(nbytes(keyframe.shape, keyframe.dtype), sum(counts), f"{path}: page {number}")
 
 
 def _read(path: Path, file: Any) -> Source:
@@ -140,7 +173,10 @@ def _imagej(metadata: dict[str, Any], page: Any, stack: bool, path: str) -> Stat
     def step(tag: str) -> float | None:
         if tag not in page.tags:
             return None
-        per_unit, one = page.tags[tag].value
+        value = page.tags[tag].value
+        if not isinstance(value, tuple) or len(value) != 2:
+            raise InputError(f"{path}: {tag} is {value!r}, not a ratio")
+        per_unit, one = value
         return to_mm(one / per_unit, unit, path) if per_unit else None
 
     rows, columns = step("YResolution"), step("XResolution")

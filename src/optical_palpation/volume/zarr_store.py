@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import math
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +19,15 @@ from .volume import Source
 FORMAT = "Zarr"
 
 _MARKS = ("zarr.json", ".zarray", ".zgroup")
+_METADATA = (*_MARKS, ".zattrs", ".zmetadata")
 # Others exist that unpickle what they decode, which would run code from the file.
 _CODECS = {
     *("bytes", "transpose", "crc32c", "sharding_indexed", "blosc", "zstd", "gzip", "zlib", "lz4"),
     *("bz2", "lzma", "shuffle", "delta"),
 }
 _MAX_ARRAYS = 1000
+# Of a B-scan, each of them a file.
+_MAX_CHUNKS = 10_000
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -39,17 +45,15 @@ def read(path: Path, variable: str | None) -> Source:
         ) from None
 
     for mark in path.rglob("*"):
-        if mark.name in (*_MARKS, ".zattrs", ".zmetadata") and mark.stat().st_size > 2**20:
+        if mark.name in _METADATA and mark.stat().st_size > 2**20:
             raise InputError(f"{mark}: metadata of more than 1 MiB")
     node: Any = zarr.open(str(path), mode="r")
     stated = Stated()
     if isinstance(node, zarr.Group):
-        attributes: Any = dict(node.attrs)
-        scales = attributes.get("ome", attributes).get("multiscales")
-        if scales and variable is None:
-            dataset = scales[0]["datasets"][0]
-            array: Any = node[dataset["path"]]
-            stated = _ome(scales[0]["axes"], dataset, array.shape, str(path))
+        image = _ome_image(dict(node.attrs), str(path)) if variable is None else None
+        if image is not None:
+            array: Any = node[image["datasets"][0]["path"]]
+            stated = _ome(image["axes"], image["datasets"][0], array.shape, str(path))
         else:
             arrays = dict(_arrays(node, "", path))
             array = arrays[
@@ -67,8 +71,14 @@ def read(path: Path, variable: str | None) -> Source:
     check_array(view.shape, view.dtype, where)
     if nbytes(array.chunks, view.dtype) > MAX_BSCAN_BYTES:
         raise InputError(f"{where} has chunks of {array.chunks} samples: too large to read")
+    per_axis = [-(-n // c) for n, c in zip(array.shape, array.chunks, strict=True)]
+    if math.prod(sorted(per_axis)[-2:]) > _MAX_CHUNKS:
+        raise InputError(
+            f"{where} has chunks of {array.chunks} samples: too small to read; rechunk it"
+        )
     if array.nchunks_initialized == 0:
         raise InputError(f"{where} has no samples stored")
+    _check_blosc(path / array.path, array, where)
     return Source(view, stated, "streamed")
 
 
@@ -91,12 +101,46 @@ def _check_codecs(metadata: Any, where: str) -> None:
             _check_codec(metadata["compressor"], where)
 
 
+def _check_blosc(folder: Path, array: Any, where: str) -> None:
+    """Check the sizes that Blosc chunks claim: its decoder reads beyond the end of short ones."""
+    codecs = json.dumps(array.metadata.to_dict(), default=lambda codec: codec.get_config())
+    if '"blosc"' not in codecs:
+        return
+    if '"sharding_indexed"' in codecs:
+        raise InputError(f"{where} has Blosc in shards; write it with Zstandard")
+    size = nbytes(array.chunks, array.dtype)
+    for chunk in folder.rglob("*"):
+        if chunk.is_file() and chunk.name not in _METADATA:
+            with chunk.open("rb") as stream:
+                head = stream.read(16)
+            if len(head) < 16 or struct.unpack_from("<I4xI", head, 4) != (
+                size,
+                chunk.stat().st_size,
+            ):
+                raise InputError(f"{where}: chunk {chunk.name} is damaged")
+
+
 def _check_codec(codec: Any, where: str) -> None:
     entries = codec if isinstance(codec, dict) else codec.get_config()
     name = entries.get("name") or entries.get("id")
     if name not in _CODECS:
         raise InputError(f"{where} is coded by {name!r}; known: {', '.join(sorted(_CODECS))}")
     _check_codecs(entries.get("configuration"), where)
+
+
+def _ome_image(attributes: Any, where: str) -> Any:
+    """Find the description of an OME-Zarr image, of the layout that the rest relies on."""
+    for level in (attributes, attributes.get("ome")):
+        if isinstance(level, dict) and level.get("multiscales"):
+            try:
+                image = level["multiscales"][0]
+                axes_named = all(isinstance(axis["name"], str) for axis in image["axes"])
+                if axes_named and isinstance(image["datasets"][0]["path"], str):
+                    return image
+            except (LookupError, TypeError):
+                pass
+            raise InputError(f"{where}: its OME-Zarr metadata are damaged")
+    return None
 
 
 def _ome(axes: Any, dataset: Any, shape: tuple[int, ...], where: str) -> Stated:

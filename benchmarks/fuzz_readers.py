@@ -1,0 +1,252 @@
+"""Fuzz the readers of OCT volumes with damaged files.
+
+    python benchmarks/fuzz_readers.py --seconds 600 --seed 1
+
+Small valid files of every format (those of the tests) are damaged at random: bits, bytes, integers,
+truncation, splicing; and with knowledge of the format: numbers in XML, JSON, TOML and ``.npy``
+headers, members within zip archives that are packed again, the content of gzip and MATLAB zlib
+streams. Each is opened and every B-scan read, in a process of its own kind so that a crash is seen
+too. Anything but success or an InputError is a finding, and so is a case above the limits of time
+and memory. Findings are kept in ``--keep``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import gzip
+import io
+import json
+import random
+import re
+import shutil
+import sys
+import tempfile
+import time
+import warnings
+import zipfile
+import zlib
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import volume_samples
+from volume_sandbox import Sandbox
+
+TIME_LIMIT, MEMORY_LIMIT = 5.0, 500 * 2**20
+NUMBERS = [
+    b"0",
+    b"-1",
+    b"1",
+    b"2",
+    b"7",
+    b"65536",
+    b"2147483648",
+    b"99999999999",
+    b"1e400",
+    b"nan",
+    b"-0.0",
+    b"",
+]
+INTEGERS = [
+    0,
+    1,
+    2,
+    3,
+    7,
+    127,
+    128,
+    255,
+    2**15,
+    2**16 - 1,
+    2**31 - 1,
+    2**31,
+    2**32 - 1,
+    2**40,
+    2**63,
+    2**64 - 1,
+]
+
+
+def damaged(data: bytes, others: list[bytes], rng: random.Random, depth: int = 0) -> bytes:
+    """One damaged version of a file's content."""
+    if depth < 2 and rng.random() < 0.5:
+        inner = _inside(data, others, rng, depth)
+        if inner is not None:
+            return inner
+    for _ in range(rng.choice((1, 1, 1, 2, 3, 8))):
+        data = _damage_once(data, others, rng)
+    return data
+
+
+def _inside(data: bytes, others: list[bytes], rng: random.Random, depth: int) -> bytes | None:
+    """Damage what a container holds, and pack it again so that the container is sound."""
+    try:
+        if data.startswith(b"PK\x03\x04"):
+            return _repacked(data, others, rng, depth)
+        if data.startswith(b"\x1f\x8b"):
+            return gzip.compress(damaged(gzip.decompress(data), others, rng, depth + 1), 1)
+        if data.startswith(b"MATLAB 5"):
+            return _mat_repacked(data, others, rng, depth)
+    except (zlib.error, zipfile.BadZipFile, OSError, EOFError, IndexError):
+        pass
+    return None
+
+
+def _repacked(data: bytes, others: list[bytes], rng: random.Random, depth: int) -> bytes:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = [(info, archive.read(info)) for info in archive.infolist()]
+    target = rng.randrange(len(members))
+    out = io.BytesIO()
+    with warnings.catch_warnings(), zipfile.ZipFile(out, "w") as archive:
+        warnings.simplefilter("ignore")
+        for number, (info, content) in enumerate(members):
+            name, copies = info.filename, 1
+            if number == target:
+                action = rng.random()
+                if action < 0.8:
+                    content = damaged(content, others, rng, depth + 1)
+                elif action < 0.9:
+                    name = rng.choice(["../", "/", "C:\\", "data/", "x" * 300]) + name
+                else:
+                    copies = rng.choice((0, 2))
+            member = zipfile.ZipInfo(name)
+            member.compress_type = rng.choice(
+                (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)
+            )
+            for _ in range(copies):
+                archive.writestr(member, content)
+    return out.getvalue()
+
+
+def _mat_repacked(data: bytes, others: list[bytes], rng: random.Random, depth: int) -> bytes:
+    position, out = 128, [data[:128]]
+    while position < len(data):
+        kind, size = (
+            int.from_bytes(data[position + o : position + o + 4], "little") for o in (0, 4)
+        )
+        body = data[position + 8 : position + 8 + size]
+        if kind == 15 and rng.random() < 0.6:
+            body = zlib.compress(damaged(zlib.decompress(body), others, rng, depth + 1))
+        out += [kind.to_bytes(4, "little"), len(body).to_bytes(4, "little"), body]
+        position += 8 + size
+    return b"".join(out)
+
+
+def _damage_once(data: bytes, others: list[bytes], rng: random.Random) -> bytes:
+    if not data:
+        return rng.randbytes(rng.randrange(64))
+    buffer = bytearray(data)
+    # Headers lie at the start more often than not.
+    at = rng.randrange(min(len(data), rng.choice((64, 512, 4096, 10**9))))
+    match rng.randrange(9):
+        case 0:
+            buffer[at] ^= 1 << rng.randrange(8)
+        case 1:
+            buffer[at] = rng.choice((0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)))
+        case 2 | 3:
+            size, order = rng.choice((1, 2, 2, 4, 4, 4, 8)), rng.choice(("little", "big"))
+            at -= at % rng.choice((1, 2, size))
+            value = (
+                rng.choice(INTEGERS)
+                if rng.random() < 0.7
+                else int.from_bytes(data[at : at + size], order) + rng.randint(-3, 3)
+            )
+            buffer[at : at + size] = (value % 256**size).to_bytes(size, order)
+        case 4:
+            del buffer[rng.choice((at, rng.randrange(len(data)))) :]
+        case 5:
+            del buffer[at : at + rng.choice((1, 2, 4, 8, 100))]
+        case 6:
+            piece = buffer[at : at + rng.choice((1, 4, 8, 100))]
+            buffer[at:at] = piece * rng.choice((1, 2, 50))
+        case 7:
+            other = rng.choice(others)
+            start = rng.randrange(max(1, len(other)))
+            piece = other[start : start + rng.choice((4, 16, 200))]
+            buffer[at : at + len(piece)] = piece
+        case 8:
+            found = list(re.finditer(rb"-?[0-9]+(\.[0-9]+)?", data[:100_000]))
+            if found:
+                number = rng.choice(found)
+                buffer[number.start() : number.end()] = rng.choice(NUMBERS)
+    return bytes(buffer)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--seconds", type=float, default=60)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--formats", nargs="*", default=list(volume_samples.WRITERS))
+    parser.add_argument("--keep", type=Path, default=None, help="folder for the files that failed")
+    options = parser.parse_args()
+    rng = random.Random(options.seed)
+    counts: dict[str, collections.Counter[str]] = {}
+    worst = {"seconds": 0.0, "MB": 0.0}
+    seen: collections.Counter[str] = collections.Counter()
+    with tempfile.TemporaryDirectory() as name:
+        root = Path(name)
+        corpus = []
+        for kind in options.formats:
+            (root / kind).mkdir()
+            path, facts = volume_samples.WRITERS[kind](root / kind, volume_samples.volume())
+            corpus.append((kind, path, facts))
+        files = [p for p in root.rglob("*") if p.is_file()]
+        others = [p.read_bytes() for p in files]
+        sandbox = Sandbox()
+        end = time.monotonic() + options.seconds
+        cases = 0
+        while time.monotonic() < end:
+            kind, path, facts = rng.choice(corpus)
+            folder = root / kind
+            target = rng.choice(sorted(p for p in folder.rglob("*") if p.is_file()))
+            original = target.read_bytes()
+            target.write_bytes(damaged(original, others, rng))
+            outcome, seconds, memory = sandbox.open(path, facts)
+            outcome = "InputError" if outcome.startswith("InputError: ") else outcome
+            cases += 1
+            if outcome in ("read", "InputError"):
+                if seconds > TIME_LIMIT:
+                    outcome = f"slow in {kind}"
+                if memory > MEMORY_LIMIT:
+                    outcome = f"memory in {kind}"
+                worst["seconds"] = max(worst["seconds"], seconds)
+                worst["MB"] = max(worst["MB"], memory / 1e6)
+            counts.setdefault(kind, collections.Counter())[
+                outcome if len(outcome) < 12 else "finding"
+            ] += 1
+            if outcome not in ("read", "InputError"):
+                key = kind.split("_")[0] + " " + outcome.strip().splitlines()[-1]
+                seen[key] += 1
+                if seen[key] == 1:
+                    print(
+                        f"case {cases}: {kind}, {seconds:.1f} s, {memory / 1e6:.0f} MB\n{outcome}",
+                        flush=True,
+                    )
+                if options.keep and seen[key] <= 3:
+                    kept = options.keep / f"{kind}-{options.seed}-{cases}"
+                    shutil.copytree(folder, kept)
+                    (kept / "FINDING.json").write_text(
+                        json.dumps(
+                            {
+                                "target": str(path.relative_to(folder)),
+                                "facts": facts,
+                                "outcome": outcome,
+                            }
+                        )
+                    )
+            target.write_bytes(original)
+        sandbox.stop()
+    print(f"{cases} cases in {options.seconds:.0f} s, seed {options.seed}")
+    for kind, counter in sorted(counts.items()):
+        print(f"  {kind:16s} " + ", ".join(f"{n} {name}" for name, n in counter.most_common()))
+    print(f"slowest {worst['seconds']:.2f} s, most memory {worst['MB']:.0f} MB")
+    for key, n in seen.most_common():
+        print(f"FINDING x{n}: {key}")
+    return 1 if seen else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,98 @@
+"""Opening files in a process of their own, so that crashes, time and memory can be told."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing as mp
+import resource
+import time
+import traceback
+import warnings
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, NamedTuple
+
+HANG = 20.0
+
+
+class Outcome(NamedTuple):
+    """``text`` is "read", "InputError: ..." or what went wrong; ``memory`` the growth in bytes."""
+
+    text: str
+    seconds: float
+    memory: int
+
+
+class Sandbox:
+    """A worker process that is replaced when it crashes or hangs."""
+
+    def __init__(self) -> None:
+        self._start()
+
+    def _start(self) -> None:
+        context = mp.get_context("spawn")
+        self._pipe, far = context.Pipe()
+        self._process = context.Process(target=worker, args=(far,), daemon=True)
+        self._process.start()
+        far.close()
+
+    def open(self, path: Path, facts: dict[str, Any]) -> Outcome:
+        """Open a volume and read its B-scans (at most 20 of them)."""
+        try:
+            self._pipe.send((str(path), facts))
+            if self._pipe.poll(HANG):
+                return Outcome(*self._pipe.recv())
+            outcome = Outcome(f"hang: more than {HANG} s", HANG, 0)
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            self._process.join(5)
+            outcome = Outcome(f"crash: exit code {self._process.exitcode}", 0.0, 0)
+        self.stop()
+        self._start()
+        return outcome
+
+    def stop(self) -> None:
+        self._process.kill()
+        self._process.join()
+
+
+def worker(pipe: Connection) -> None:
+    """Open the files whose paths come through the pipe; reply with the outcome."""
+    from optical_palpation.errors import InputError
+    from optical_palpation.volume import open_volume
+
+    logging.disable(logging.CRITICAL)
+    warnings.simplefilter("ignore")
+    resource.setrlimit(resource.RLIMIT_AS, (12 * 2**30, 12 * 2**30))
+    while True:
+        path, facts = pipe.recv()
+        Path("/proc/self/clear_refs").write_text("5")  # forget the peak so far
+        base, start = _memory("VmRSS"), time.perf_counter()
+        try:
+            with open_volume(path, **facts) as volume:
+                for y in range(min(len(volume), 20)):
+                    volume.bscan(y)
+            text = "read"
+        except InputError as error:
+            text = f"InputError: {error}"
+            caught_at_last = error.__cause__ if "damaged or unsupported (" in text else None
+            if caught_at_last is not None and (place := _own_place(caught_at_last)):
+                text = f"unforeseen: {place}"
+        except BaseException as error:
+            text = "".join(traceback.format_exception(error))
+        pipe.send((text, time.perf_counter() - start, _memory("VmHWM") - base))
+
+
+def _own_place(error: BaseException) -> str | None:
+    """Place in the readers themselves that raised what only the last safety net has caught."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    file = Path(last.filename)
+    if file.parent.name != "volume" or isinstance(error, (OSError, EOFError, UnicodeError)):
+        return None
+    return f"{type(error).__name__} at {file.name}:{last.lineno}"
+
+
+def _memory(field: str) -> int:
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(field + ":"):
+            return int(line.split()[1]) * 1024
+    return 0
