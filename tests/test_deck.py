@@ -2,19 +2,24 @@
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from optical_palpation.errors import InputError, OutputError
+from optical_palpation.mechanics.direct import DirectSolver
+from optical_palpation.mechanics.elements import GRADIENTS, element_stress
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths, node_positions
 from optical_palpation.mechanics.imprint import Imprint
+from optical_palpation.mechanics.newton import Tolerances
+from optical_palpation.mechanics.path import StepControl, follow
 from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.present.deck import read_deck_result, write_deck
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from calculix import calculix_installed, run_calculix
+from calculix import CalculixResult, calculix_installed, run_calculix
 
 needs_calculix = pytest.mark.skipif(
     not calculix_installed(), reason="CalculiX (Debian package calculix-ccx) is not installed"
@@ -28,14 +33,15 @@ def bump(lateral: int, deep: int, **changes) -> LayerProblem:
     pixels = np.linspace(0, 2, 41)
     x, y = np.meshgrid(pixels, pixels)
     loaded = 0.45 - 0.1 * np.exp(-((x - 1.1) ** 2 + (y - 0.9) ** 2) / (2 * 0.35**2))
-    settings = {"friction": (0.2, 0.1), "edges": "free", "bulk_modulus": 586.6} | changes
-    return LayerProblem(
+    problem = LayerProblem(
         grid=LayerGrid(nodes, nodes, graded_depths(deep), thickness),
         imprint=Imprint(pixels, pixels, np.full_like(loaded, 0.5), loaded),
         c10=2.23,
         c01=0.703,
-        **settings,
+        bulk_modulus=586.6,
+        friction=(0.2, 0.1),
     )
+    return replace(problem, **changes)
 
 
 class Deck:
@@ -121,7 +127,7 @@ def test_imprint_starts_on_the_layer_and_ends_on_the_measured_surface(tmp_path):
 
 
 def test_material_contact_and_edges(tmp_path):
-    problem = bump(2, 1, edges="roller", friction=(0.3, 0.0), bulk_modulus=586.6)
+    problem = bump(2, 1, edges="roller", friction=(0.3, 0.0))
     write_deck(problem, tmp_path / "layer.inp", contact_stiffness=1e4)
     deck = Deck(tmp_path / "layer.inp")
     c10, c01, d1 = (float(number) for number in deck.rows("HYPERELASTIC, MOONEY-RIVLIN")[0])
@@ -156,3 +162,57 @@ def test_results_that_are_absent_or_incomplete(tmp_path):
     )
     with pytest.raises(InputError, match="full load"):
         read_deck_result(tmp_path / "layer.dat", (1, 2, 2))
+
+
+def ours(problem: LayerProblem) -> tuple[float, np.ndarray]:
+    """Return total force and mean Cauchy stress of 2 x 2 x 2 elements, our solver."""
+    grid = problem.grid
+    guess = problem.shear_modulus * grid.surface_areas(grid.nodes[:, -1])
+    solver = DirectSolver(problem.bulk_modulus)
+    state, _, _ = follow(problem, solver, Tolerances(), guess, StepControl(0.1, 0.1))
+    stress = np.empty((6, *grid.shape))
+    element_stress(grid.nodes, state.u, state.p, problem.c10, problem.c01, GRADIENTS, stress)
+    nz, ny, nx = (count // 2 for count in grid.shape)
+    blocks = stress.reshape(6, nz, 2, ny, 2, nx, 2)
+    return float(state.normal_force[0].sum()), blocks.mean((2, 4, 6))
+
+
+def calculix(problem: LayerProblem, folder: Path, **deck) -> CalculixResult:
+    result = run_calculix(problem, folder, 300, first_increment=0.1, largest_increment=0.1, **deck)
+    assert result.converged, (folder / "layer.log").read_text()[-2000:]
+    assert result.force_imprint == pytest.approx(result.force_window, rel=1e-5)
+    return result
+
+
+@needs_calculix
+def test_calculix_agrees_on_force_and_stress(tmp_path):
+    """Quadratic elements against linear ones of half the size, at equal K/mu and increments."""
+    theirs = calculix(bump(6, 2), tmp_path)
+    force, stress = ours(bump(12, 4))
+    assert theirs.force_window == pytest.approx(force, rel=0.01)
+    # next to the imprint, relative to the axial stress there; shear is what friction shows in
+    difference = theirs.fields.stress[:, -1].mean(-1) - stress[:, -1]
+    scale = np.linalg.norm(stress[2, -1])
+    errors = np.linalg.norm(difference, axis=(1, 2)) / scale
+    assert (errors[:3] < 0.02).all()
+    assert (errors[3:] < 0.01).all()
+
+
+@needs_calculix
+def test_calculix_agrees_between_rollers(tmp_path):
+    """Held at its sides, the layer yields by its bulk modulus only: D1 and the rollers count."""
+    pixels = np.linspace(0, 2, 41)
+    x, y = np.meshgrid(pixels, pixels)
+    loaded = 0.495 - 0.02 * np.cos(np.pi * x) * np.cos(np.pi * y / 2)
+    imprint = Imprint(pixels, pixels, np.full_like(loaded, 0.5), loaded)
+    theirs = calculix(bump(4, 2, edges="roller", imprint=imprint), tmp_path, contact_stiffness=1e6)
+    force, _ = ours(bump(8, 4, edges="roller", imprint=imprint))
+    assert theirs.force_window == pytest.approx(force, rel=0.02)
+
+
+@needs_calculix
+def test_calculix_out_of_time_or_out_of_reach(tmp_path):
+    stopped = run_calculix(bump(6, 2), tmp_path, 0.2)
+    assert not stopped.converged
+    assert stopped.seconds < 5
+    assert np.isnan(stopped.force_window)
