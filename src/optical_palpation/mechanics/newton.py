@@ -50,6 +50,10 @@ class Tolerances:
     linear: float = 1e-2
 
 
+#: Smoothing of contact, as a pressure in units of the shear modulus: at first, and in the end.
+_SMOOTHING = (3e-2, 1e-3)
+
+
 @dataclass
 class Balance:
     """Internal forces, volumes and contact of a state, and how far it is from equilibrium."""
@@ -61,19 +65,13 @@ class Balance:
     min_jacobian: float
     force_error: float
     volume_error: float
-    penetration: float
 
 
 class NotConverged(Exception):
     """Newton's method failed at this load; carries the reason."""
 
 
-def balance(
-    problem: LayerProblem,
-    state: LayerState,
-    bound_guess: Array | None = None,
-    secant: bool = False,
-) -> Balance:
+def balance(problem: LayerProblem, state: LayerState, smoothing: float = _SMOOTHING[1]) -> Balance:
     """Evaluate equilibrium, incompressibility and contact at a state."""
     grid = problem.grid
     force = np.empty(state.u.shape)
@@ -91,26 +89,26 @@ def balance(
         volume_ref,
         jacobian,
     )
-    contact = linearise(problem, state, force, bound_guess, secant)
+    contact = linearise(problem, state, force, smoothing)
     out = force.copy()
-    for face, k in ((WINDOW, 0), (SAMPLE, -1)):
+    for face, k, sign in ((WINDOW, 0, -1.0), (SAMPLE, -1, 1.0)):
         out[:2, k] += contact.row[face] * force[2, k]
-        out[2, k][state.active[face]] = 0.0
+        out[2, k] += sign * state.normal_force[face]
     if problem.edges == "roller":
         out[0, :, :, [0, -1]] = 0.0
         out[1, :, [0, -1], :] = 0.0
-    scale = max(float(np.linalg.norm(contact.normal_force)), 1e-30)
+    scale = max(float(np.linalg.norm(state.normal_force)), 1e-30)
+    error = np.hypot(np.linalg.norm(out), np.linalg.norm(contact.violation)) / scale
     return Balance(
         force=force,
         volume=volume,
         volume_ref=volume_ref,
         contact=contact,
         min_jacobian=float(jacobian.min()),
-        force_error=float(np.linalg.norm(out)) / scale,
+        force_error=float(error),
         volume_error=float(
             np.sqrt(np.mean((volume / volume_ref - 1 - state.p / problem.bulk_modulus) ** 2))
         ),
-        penetration=float(np.abs(contact.penetration[state.active]).max(initial=0.0)),
     )
 
 
@@ -119,7 +117,6 @@ def equilibrate(
     state: LayerState,
     solver: LinearSolver,
     tolerances: Tolerances,
-    bound_guess: Array | None = None,
     on_iteration: Callable[[int, Balance, int], None] | None = None,
 ) -> int:
     """Bring ``state`` (changed in place) into equilibrium at its load.
@@ -134,22 +131,19 @@ def equilibrate(
     NotConverged
         When the iterations run out, an element turns inside out or numbers overflow.
     """
-    thickness = float(problem.grid.thickness.max())
-    now = balance(problem, state, bound_guess)
-    seen: set[bytes] = set()
+    smoothing = _SMOOTHING[0]
+    now = balance(problem, state, smoothing)
     krylov = 0
     storage = None
     for iteration in range(tolerances.iterations):
         if on_iteration:
             on_iteration(iteration, now, krylov)
-        settled = iteration > 0 and not changed
         if (
-            settled
+            iteration > 0
+            and smoothing == _SMOOTHING[1]
             and now.force_error < tolerances.force
             and now.volume_error < tolerances.volume
-            and now.penetration < 1e-6 * thickness
         ):
-            state.normal_force = now.contact.normal_force
             return iteration
         system = assemble(
             problem,
@@ -166,34 +160,26 @@ def equilibrate(
         du, dp, krylov = solver.solve(system, tolerances.linear)
         if not (np.isfinite(du).all() and np.isfinite(dp).all()):
             raise NotConverged("the linear system could not be solved")
-        normal = system.contact_forces(now.force, du, dp)
         step = system.to_cartesian(du)
+        change = system.contact_forces(now.force, du, dp) - state.normal_force
         trial = state.copy()
         best = None
         for fraction in (1.0, 0.5, 0.25, 0.125):
             trial.u = state.u + fraction * step
             trial.p = state.p + fraction * dp
-            after = balance(problem, trial)
-            if after.min_jacobian > 0.02 and np.isfinite(after.force_error):
-                if best is None or after.force_error < best[0]:
-                    best = (after.force_error, trial.u, trial.p, after)
-                if (
-                    iteration == 0
-                    or changed
-                    or after.force_error < (1 - 0.3 * fraction) * now.force_error
-                ):
-                    break
+            trial.normal_force = state.normal_force + fraction * change
+            after = balance(problem, trial, smoothing)
+            if after.min_jacobian < 0.02 or not np.isfinite(after.force_error):
+                continue
+            if best is None or after.force_error < best[0].force_error:
+                best = after, trial.u, trial.p, trial.normal_force
+            # the first step crosses the new load: it may leave more out of balance than it found
+            if iteration == 0 or after.force_error < (1 - 0.3 * fraction) * now.force_error:
+                break
         if best is None:
             raise NotConverged("an element turned inside out")
-        _, trial.u, trial.p, after = best
-        # contact: a node that would have to be pulled is released, one that penetrates is caught
-        active = np.where(state.active, normal > 0, after.contact.penetration > 1e-9 * thickness)
-        changed = bool((active != state.active).any())
-        if changed and active.tobytes() in seen and iteration > 8:
-            # the active set cycles between a few nodes: from here on only catch, never release
-            active |= state.active
-            changed = bool((active != state.active).any())
-        seen.add(active.tobytes())
-        state.u, state.p, state.active = trial.u, trial.p, active
-        now = balance(problem, state)
+        now, state.u, state.p, state.normal_force = best
+        if now.force_error < 0.3 * smoothing and smoothing > _SMOOTHING[1]:
+            smoothing = max(_SMOOTHING[1], 0.2 * smoothing)
+            now = balance(problem, state, smoothing)
     raise NotConverged(f"no convergence in {tolerances.iterations} Newton iterations")

@@ -48,8 +48,7 @@ def follow(
     Parameters
     ----------
     bound_guess
-        Estimated normal forces at full load, (ny + 1, nx + 1), mN, which hold the layer by friction
-        in the very first iteration.
+        Estimated contact forces at full load, (ny + 1, nx + 1), mN: a start for the first load.
 
     Returns
     -------
@@ -77,14 +76,17 @@ def follow(
             ratio = (load - state.load) / (state.load - before.load)
             trial.u = state.u + ratio * (state.u - before.u)
             trial.p = state.p + ratio * (state.p - before.p)
-        guess = None if state.load else np.broadcast_to(bound_guess * load, state.active.shape)
+            trial.normal_force = np.maximum(
+                0.0, state.normal_force + ratio * (state.normal_force - before.normal_force)
+            )
+        else:
+            trial.normal_force[:] = load * bound_guess
         try:
             iterations = equilibrate(
                 problem,
                 trial,
                 solver,
                 tolerances,
-                guess,
                 (lambda n, b, k, load=load: on_iteration(load, n, b, k)) if on_iteration else None,
             )
         except NotConverged as failure:

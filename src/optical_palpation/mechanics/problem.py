@@ -68,8 +68,6 @@ class LayerState:
         Displacement, (3, nz + 1, ny + 1, nx + 1), mm.
     p
         Element pressure, tension positive, (nz, ny, nx), kPa.
-    active
-        Contact at window and sample side, (2, ny + 1, nx + 1), bool.
     slip
         Friction memory w of both faces: slip / slip_length at ``anchor``; (2, 2, ny + 1, nx + 1).
     anchor
@@ -81,7 +79,6 @@ class LayerState:
     load: float
     u: Array
     p: Array
-    active: NDArray[np.bool_]
     slip: Array
     anchor: Array
     normal_force: Array
@@ -94,7 +91,6 @@ class LayerState:
             load=0.0,
             u=np.zeros((3, *grid.node_shape)),
             p=np.zeros(grid.shape),
-            active=np.ones((2, *surface), bool),
             slip=np.zeros((2, 2, *surface)),
             anchor=np.zeros((2, 2, *surface)),
             normal_force=np.zeros((2, *surface)),
@@ -106,6 +102,14 @@ class LayerState:
             self.load,
             *(
                 getattr(self, name).copy()
-                for name in ("u", "p", "active", "slip", "anchor", "normal_force")
+                for name in ("u", "p", "slip", "anchor", "normal_force")
             ),
         )
+
+    def touching(self, problem: LayerProblem) -> NDArray[np.bool_]:
+        """Return which surface nodes are in contact, (2, ny + 1, nx + 1)."""
+        nodes = problem.grid.nodes + self.u
+        height = problem.imprint.evaluate(nodes[0, -1], nodes[1, -1], self.load)[0]
+        gap = np.stack([nodes[2, 0], height - nodes[2, -1]])
+        scale = problem.shear_modulus / problem.grid.spacing()[0]
+        return self.normal_force > scale * problem.grid.surface_areas(nodes[:, -1]) * gap

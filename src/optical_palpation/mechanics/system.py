@@ -123,10 +123,11 @@ def assemble(
         stencil[k, :, 13, 1] += block[1]
         stencil[k, :, 13, 3] += block[1]
         stencil[k, :, 13, 4] += block[2] + hold
-
-    free, prescribed = constraints(problem, state, contact)
+    free, prescribed = constraints(problem, contact)
     # the vertical equations of both faces give the contact forces after the step
     vertical_rows = stencil[[0, -1]][:, :, :, 6:].copy()
+    for face, k in ((WINDOW, 0), (SAMPLE, -1)):
+        stencil[k, :, 13, 8] += contact.spring[face]
     system = NewtonSystem(
         stencil=stencil,
         divergence=divergence,
@@ -142,6 +143,7 @@ def assemble(
     )
     volume_residual = volume - volume_ref * (1 + state.p / problem.bulk_modulus)
     residual = system.combine_rows(force.copy())
+    residual[2, [0, -1]] -= contact.load
     residual += system.pressure_force(gamma / volume_ref * volume_residual)
     if prescribed.any():
         x = halo_zeros(grid.node_shape, dtype)
@@ -156,15 +158,14 @@ def assemble(
 
 
 def constraints(
-    problem: LayerProblem, state: LayerState, contact: ContactLinearisation
+    problem: LayerProblem, contact: ContactLinearisation
 ) -> tuple[NDArray[np.bool_], Array]:
     """Free degrees of freedom, and the prescribed step of the others (contact coordinates)."""
-    free = np.ones(state.u.shape, bool)
-    prescribed = np.zeros(state.u.shape)
-    for face, k, sign in ((WINDOW, 0, 1.0), (SAMPLE, -1, -1.0)):
-        active = state.active[face]
-        free[2, k][active] = False
-        prescribed[2, k][active] = sign * contact.penetration[face][active]
+    shape = (3, *problem.grid.node_shape)
+    free = np.ones(shape, bool)
+    prescribed = np.zeros(shape)
+    free[2, [0, -1]] = ~contact.rigid
+    prescribed[2, [0, -1]] = contact.step
     if problem.edges == "roller":
         free[0, :, :, [0, -1]] = False
         free[1, :, [0, -1], :] = False
