@@ -1,12 +1,15 @@
 """Friction at the window from phase-sensitive OCT (section 4 of the paper)."""
 
+from optical_palpation.friction.calibration import calibration_curves, slab_profile
 from optical_palpation.friction.estimate import FrictionEstimate, estimate_friction, read_profile
 from optical_palpation.friction.phase import axial_strain, displacement_profile
 
 __all__ = [
     "FrictionEstimate",
     "axial_strain",
+    "calibration_curves",
     "displacement_profile",
     "estimate_friction",
     "read_profile",
+    "slab_profile",
 ]

@@ -13,8 +13,8 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import t as student_t
 
-from optical_palpation.regression import independent_points
 from optical_palpation.errors import InputError
+from optical_palpation.regression import independent_points
 
 Array = NDArray[np.float64]
 
