@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
+from scipy.signal import savgol_filter
 
 from optical_palpation.errors import InputError
 
@@ -25,7 +26,7 @@ Progress = Callable[[float], None]
 
 GUARD = 6.0  # axial resolutions (standard deviations) within which two boundaries are one
 BAND = 24.0  # ... around a tracked surface that are read again for its refinement
-CELLS = (2.0, 6.0)  # lateral averaging over this many resolution cells, in two and in one dimension
+CELLS = (2.0, 4.0)  # lateral averaging over this many resolution cells, in two and in one dimension
 WORST_CONTRAST = 0.25  # a boundary of less contrast is not seen
 HAMPEL = 3.0  # an outlier is this many (robust) standard deviations off the median around it
 FWHM = 2.355
@@ -73,7 +74,10 @@ class _Scan:
 
     def map(self, values: ArrayLike, name: str, units: str) -> xr.DataArray:
         """Values `[y, x]` with coordinates in mm."""
-        _, y, x = (o + s * np.arange(n) for o, s, n in zip(self.origin, self.spacing, self.shape, strict=True))
+        _, y, x = (
+            o + s * np.arange(n)
+            for o, s, n in zip(self.origin, self.spacing, self.shape, strict=True)
+        )
         coords = {"y": ("y", y, {"units": "mm"}), "x": ("x", x, {"units": "mm"})}
         return xr.DataArray(values, coords, ("y", "x"), attrs={"units": units, "long_name": name})
 
@@ -197,7 +201,9 @@ def find_surface(
     first, last = scan.depths(search, (0.0, scan.shape[0] - 1.0))
     shape = scan.shape[1:]
     fixes = Corrections()
-    found = _locate(scan, edge, np.full(shape, first), np.full(shape, last), fixes, "sample", method)
+    found = _locate(
+        scan, edge, np.full(shape, first), np.full(shape, last), fixes, "sample", method
+    )
     parts = _finish(scan, {"sample": (edge, found)}, fixes, method, lambda share: None)
     depth, quality, filled = parts["sample"]
     return xr.Dataset(
@@ -236,7 +242,9 @@ def _scan(
     dz, dy, dx = spacing
     dy = dx if source.shape[1] == 1 and not np.isfinite(dy) else dy
     if not (np.all(np.isfinite([dz, dy, dx])) and min(dz, dy, dx) > 0):
-        raise InputError(f"spacing {tuple(spacing)}: three positive numbers (z, y, x) in mm, please")
+        raise InputError(
+            f"spacing {tuple(spacing)}: three positive numbers (z, y, x) in mm, please"
+        )
     origin = getattr(metadata, "origin", None) or (0.0, 0.0, 0.0)
     read = intensity_reader(source, scale)
     sigma, across = point_spread(read, source.shape[1])
@@ -320,7 +328,7 @@ def _finish(
                 f"the {name} side of the layer is nowhere to be seen; check the volume, what the "
                 f"boundary looks like ({edge!r}) and the range it is searched in"
             )
-        lost |= _outliers(np.where(lost, np.nan, depth), lateral, scan.sigma)
+        lost |= _outliers(np.where(lost, np.nan_to_num(start), depth), lateral, scan.sigma)
         weights = [1.0 / scan.spacing[1] ** 2, 1.0 / scan.spacing[2] ** 2]
         depth = _fill(np.where(lost, np.nan, depth), lost, weights)
         parts[name] = depth, np.clip(quality, 0.0, 1.0), lost
@@ -332,8 +340,13 @@ def _outliers(
     depth: NDArray[np.float64], lateral: tuple[float, float], sigma: float
 ) -> NDArray[np.bool_]:
     """Hampel identifier in two dimensions: far from the median of the neighbourhood."""
-    size = [2 * int(np.ceil(2.0 * s)) + 1 if n > 1 else 1 for s, n in zip(lateral, depth.shape, strict=True)]
-    known = np.where(np.isnan(depth), np.nanmedian(depth), depth)
-    off = np.abs(known - median_filter(known, size))
+    rest = depth.copy()
+    size = [1, 1]
+    for axis, (s, n) in enumerate(zip(lateral, depth.shape, strict=True)):
+        window = 2 * int(np.ceil(2.0 * s)) + 1
+        if n > window:
+            size[axis] = window
+            rest -= savgol_filter(rest, window, 2, axis=axis)  # slopes and bends are no outliers
+    off = np.abs(rest - median_filter(rest, size))
     scale = 1.4826 * median_filter(off, size)
     return off > HAMPEL * np.maximum(scale, sigma)

@@ -1,4 +1,4 @@
-"""The field's detector: edges of each B-scan by Canny's method, the first one taken."""
+"""The field's detector: edges of each B-scan by Canny's method, the strongest taken."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ def canny_surface(
     *,
     sigma: float,
 ) -> NDArray[np.float64]:
-    """Depth `[y, x]`, pixels, of the first edge between `first` and `last`; NaN where none is.
+    """Depth `[y, x]`, pixels, of the strongest edge between `first` and `last`; NaN where none is.
 
     The edge has the sign of `edge`; of a line, its middle between rise and fall is taken.
     """
@@ -37,28 +37,28 @@ def canny_surface(
         low, high = (t * noise for t in THRESHOLDS)
         edges = canny(log, width, low, high)
         if edge == "fall":
-            depth[y] = _first(edges & (gradient < 0), -gradient, first[y], last[y])
+            depth[y] = _strongest(edges & (gradient < 0), -gradient, first[y], last[y])
             continue
-        depth[y] = _first(edges & (gradient > 0), gradient, first[y], last[y])
+        depth[y] = _strongest(edges & (gradient > 0), gradient, first[y], last[y])
         if edge == "line":
-            bottom = _first(edges & (gradient < 0), -gradient, depth[y], last[y])
+            bottom = _strongest(edges & (gradient < 0), -gradient, depth[y], last[y])
             depth[y] = 0.5 * (depth[y] + bottom)
     return depth
 
 
-def _first(
+def _strongest(
     edges: NDArray[np.bool_],
     strength: NDArray[np.float32],
     first: NDArray[np.float64],
     last: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Depth of the first edge of each column, from a parabola through its gradient."""
+    """Depth of the strongest edge of each column, from a parabola through its gradient."""
     z = np.arange(len(edges))[:, None]
     with np.errstate(invalid="ignore"):
         edges = edges & (z >= first) & (z <= last)
     edges[0] = edges[-1] = False
     column = np.flatnonzero(edges.any(axis=0))
-    at = np.argmax(edges[:, column], axis=0)
+    at = np.argmax(np.where(edges, strength, -np.inf)[:, column], axis=0)
     above, here, below = (strength[at + i, column].astype(float) for i in (-1, 0, 1))
     bend = np.minimum(above - 2.0 * here + below, -1e-12)
     depth = np.full(edges.shape[1], np.nan)

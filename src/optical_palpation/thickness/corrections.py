@@ -90,7 +90,9 @@ def read_corrections(path: str | Path) -> Corrections:
             continue
         where = f"{path}, line {number}: {line.strip()!r}"
         if words[0] not in kinds or len(words) < 2 or words[1] not in get_args(Boundary):
-            raise InputError(f"{where}: a line begins with anchor or exclude, then window or sample")
+            raise InputError(
+                f"{where}: a line begins with anchor or exclude, then window or sample"
+            )
         try:
             values = [float(word) for word in words[2:]]
         except ValueError:

@@ -19,6 +19,7 @@ Read = Callable[[int], NDArray[np.float32]]
 
 DB = np.log(10.0) / 10.0
 LOG_SPREAD = np.pi / np.sqrt(6.0)  # standard deviation of the logarithm of an exponential number
+DYNAMIC_RANGE = 60.0  # dB, of a spectrometer within one B-scan
 SAMPLES = 7  # B-scans looked at for what holds for the whole volume
 TILE = (32, 16)  # pixels along z and x over which statistics are taken
 SIGMA_RANGE = (0.4, 12.0)  # pixels; beyond it speckle does not tell its width
@@ -77,7 +78,8 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
     """Return a function that gives B-scans as intensity, -1 where there is no data.
 
     A linear signal is an amplitude or an intensity, which its noise tells. Decibels whose noise
-    is much rougher than noise can be are a logarithm in another unit, and are scaled to it.
+    is much rougher than noise can be are a logarithm in another unit, and are scaled to it; but
+    where averaging has smoothed the noise, the range of a spectrometer is the limit.
     """
     if scale not in ("linear", "dB"):
         raise InputError(f"scale is {scale!r}; give 'linear' or 'dB'")
@@ -89,7 +91,7 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
         image = np.abs(image) if np.iscomplexobj(image) else image
         return np.array(image, np.float32, order="C")
 
-    spread, level = [], []
+    spread, level, highest = [], [], []
     for y in _some(volume.shape[1]):
         image = raw(int(y))
         tiles = _tiles(image)
@@ -100,6 +102,7 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
         quiet = tiles[mean <= np.quantile(mean, 0.25)]
         spread.append(np.median(quiet.std((1, 2))))
         level.append(np.median(quiet.mean((1, 2))))
+        highest.append(np.max(tiles))
     if not spread:
         raise InputError("the volume holds no stretch of finite data to tell noise from signal by")
     deviation, mean = float(np.median(spread)), float(np.median(level))
@@ -107,7 +110,10 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
     if scale == "linear":
         square = deviation < 0.75 * mean
     else:
-        gain = DB if deviation < 8.0 else LOG_SPREAD / deviation
+        if deviation > 8.0:
+            gain = min(LOG_SPREAD / deviation, DYNAMIC_RANGE * DB / (max(highest) - mean))
+        else:
+            gain = DB
         offset = gain * mean
 
     def read(y: int) -> NDArray[np.float32]:
@@ -125,21 +131,26 @@ def point_spread(read: Read, ny: int) -> tuple[float, float]:
     for a Gaussian point-spread function of standard deviation s, and so has the image of a single
     reflector. Lag 0 holds the noise too and is left out.
     """
-    products = np.zeros((2, TILE[0]))
+    products: tuple[list[NDArray], list[NDArray]] = ([], [])
     for y in _some(ny):
         tiles = _tiles(np.maximum(read(int(y)), 0.0))
         mean = tiles.mean((1, 2), keepdims=True)
-        bright = mean.ravel() >= max(np.quantile(mean, 0.8), 2.0 * np.median(mean))
-        if not np.any(bright):
-            bright = mean.ravel() >= np.quantile(mean, 0.8)
+        bright = mean.ravel() >= np.quantile(mean, 0.8)
         speckle = np.minimum(tiles[bright] / np.maximum(mean[bright], 1e-30), 6.0)
         speckle = speckle - speckle.mean(axis=2, keepdims=True)  # what is level is structure
         for axis in (1, 2):
             n = speckle.shape[axis]
-            for lag in range(n // 2):
-                a, b = (np.take(speckle, range(i, n - lag + i), axis) for i in (0, lag))
-                products[axis - 1, lag] += np.mean(a * b)
-    return _width(products[0]), _width(products[1])
+            lagged = [
+                np.mean(
+                    np.take(speckle, range(n - lag), axis) * np.take(speckle, range(lag, n), axis),
+                    axis=(1, 2),
+                )
+                for lag in range(n // 2)
+            ]
+            products[axis - 1].append(np.stack(lagged))
+    # A median, because a tile with a saturated A-scan is a tile of noise.
+    along_z, along_x = (np.median(np.concatenate(p, axis=1), axis=1) for p in products)
+    return _width(along_z), _width(along_x)
 
 
 def _width(products: NDArray[np.float64]) -> float:

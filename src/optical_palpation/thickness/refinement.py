@@ -17,7 +17,7 @@ from scipy.special import ndtr
 from .tracking import Edge, column_weights
 
 PIXEL_VARIANCE = 1 / 12 + 1 / 12  # blur by the pixel itself and by interpolation between pixels
-OFFSET = 0.1  # of the bright side, added to the profile: keeps faint tails from steering
+OFFSET = 0.05  # of the bright side, added to the profile: keeps faint tails from steering
 
 
 @njit(cache=True, nogil=True)
@@ -190,7 +190,7 @@ def refine(
     profile, share = np.empty((2, *start.shape, 2 * half + 1), np.float32)
     for reach in (8.0 * sigma, 3.0 * sigma, 2.0 * sigma):
         # Flattening along the noise of the last estimate would confirm it: smooth it first.
-        depth = _smooth(depth, tuple(0.5 * s for s in lateral))
+        depth = _smooth(depth, lateral)
         _flatten(band, depth - first, weight, profile, share)
         mean = averaged(profile, share, lateral)
         if edge == "rise":
@@ -248,13 +248,17 @@ def _slope_blur(depth: NDArray[np.float64], cell: tuple[float, float]) -> NDArra
 def _decay(mean: NDArray[np.float32], sigma: float) -> float:
     """Attenuation of the sample below its surface, per pixel: a median over all profiles."""
     half = mean.shape[2] // 2
-    cuts = [half + int(round(n * sigma)) for n in (3.0, 7.0, 11.0)]
+    cuts = [half + int(round(n * sigma)) for n in (5.0, 9.0, 13.0)]
     near, far = (np.mean(mean[..., a:b], axis=-1) for a, b in zip(cuts, cuts[1:], strict=False))
     good = (near > 0) & (far > 0)
     ratio = np.median(near[good] / far[good]) if np.any(good) else 1.0
-    return max(float(np.log(ratio)) / (0.5 * (cuts[2] - cuts[0])), 0.0)
+    return float(np.log(ratio)) / (0.5 * (cuts[2] - cuts[0]))
 
 
-def _smooth(a: NDArray[np.float64], sigmas: tuple[float, ...]) -> NDArray[np.float64]:
-    """Gaussian lateral average of a map; an axis of one pixel stays as it is."""
-    return gaussian_filter(a, [s if n > 1 else 0.0 for s, n in zip(sigmas, a.shape, strict=True)])
+def _smooth(depth: NDArray[np.float64], lateral: tuple[float, float]) -> NDArray[np.float64]:
+    """Lateral average of a surface; it goes on over the border with its slope."""
+    sigmas = [0.5 * s if n > 1 else 0.0 for s, n in zip(lateral, depth.shape, strict=True)]
+    pad = [min(int(4 * s) + 1, n - 1) for s, n in zip(sigmas, depth.shape, strict=True)]
+    padded = np.pad(depth, [(p, p) for p in pad], mode="reflect", reflect_type="odd")
+    inner = tuple(slice(p, n - p) for p, n in zip(pad, padded.shape, strict=True))
+    return gaussian_filter(padded, sigmas)[inner]

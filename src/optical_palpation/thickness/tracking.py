@@ -13,7 +13,8 @@ from typing import Literal
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates, maximum_filter1d, minimum_filter1d, uniform_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+from scipy.interpolate import make_interp_spline
 
 from .intensity import Read
 
@@ -116,33 +117,39 @@ def _mean_over(a: NDArray, first: int, last: int) -> NDArray:
     return uniform_filter1d(a, size, axis=-1, mode="nearest")[..., shifted]
 
 
-def _rise(log: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+def _rise(log: NDArray[np.float32], sigma: float, inside: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Evidence for a step from dark to bright that lasts: lines are opened away beforehand."""
     above, below, line = (int(round(n * max(sigma, 1.0))) for n in (6.0, 16.0, 10.0))
     no_data = np.isnan(log)
     filled = np.where(no_data, np.nanmin(log), log)
-    opened = maximum_filter1d(minimum_filter1d(filled, line, axis=-1), line, axis=-1, origin=0)
+    opened = maximum_filter1d(minimum_filter1d(filled, line, axis=-1), line, axis=-1)
     step = _mean_over(opened, 1, below) - _mean_over(opened, -above, -1)
     # A lone reflection (a metal sample, say) still beats nothing at all.
     step = 0.8 * step + 0.2 * (_mean_over(filled, 1, below) - _mean_over(filled, -above, -1))
     step[_mean_over(no_data.astype(np.float32), -above, -1) > 0.5] = 0.0
-    step[..., : above // 2] = 0.0
-    scale = np.median(np.max(step, axis=-1))
-    # Scattering that already lies above a candidate counts against it: the sample begins where
-    # the light first meets it, however bright its deeper structures are.
+    scale = _typical_maximum(step, inside)
+    # The layer above is clear: scattering there counts against a candidate, and so does a lack of
+    # data, or the structures inside the sample would be as good as its surface.
     dark = np.nanpercentile(log, 20)
-    passed = np.cumsum(np.clip(opened - dark - 0.5 * scale, 0.0, scale), axis=-1) / below
-    return np.clip(step, 0.0, scale) / scale - passed / scale
+    clouded = np.clip(opened - dark - 0.5 * scale, 0.0, scale) / scale
+    clouded[no_data] = 1.0
+    return np.clip(step / scale, 0.0, 1.0) - 3.0 * _mean_over(clouded, -3 * below, -1)
 
 
-def _line(log: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+def _line(log: NDArray[np.float32], sigma: float, inside: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Evidence for a bright line between darker flanks."""
     near, far, half = (max(int(round(n * sigma)), k) for n, k in ((4.0, 3), (9.0, 5), (1.0, 1)))
     filled = np.where(np.isnan(log), np.nanmin(log), log)
     centre = _mean_over(filled, -half, half)
     flank = np.maximum(_mean_over(filled, -far, -near), _mean_over(filled, near, far))
     line = np.maximum(centre - flank, 0.0)
-    return line / np.median(np.max(line, axis=-1))
+    return line / _typical_maximum(line, inside)
+
+
+def _typical_maximum(evidence: NDArray[np.float32], inside: NDArray[np.bool_]) -> np.float32:
+    """Median over the columns of the largest evidence in each."""
+    strongest = np.max(np.where(inside, evidence, 0.0), axis=-1)
+    return np.float32(max(np.median(strongest), 1e-6))
 
 
 @njit(cache=True)
@@ -204,19 +211,18 @@ def track(
     excluded
         Pixels `[y, x]` that say nothing about it.
     """
-    log = reduced.log
-    if edge == "fall":
-        cost = -_rise(np.ascontiguousarray(log[..., ::-1]), sigma)[..., ::-1]
-    else:
-        cost = -(_rise if edge == "rise" else _line)(log, sigma)
-    cost = np.ascontiguousarray(cost, np.float32)
     iy, ix = np.round(reduced.y).astype(int), np.round(reduced.x).astype(int)
-    z = np.arange(log.shape[-1])
     nodes = np.ix_(iy, ix)
-    outside = (z < first[nodes][..., None]) | (z > last[nodes][..., None])
+    z = np.arange(reduced.log.shape[-1])
+    inside = (z >= first[nodes][..., None]) & (z <= last[nodes][..., None])
+    if edge == "fall":
+        cost = -_rise(reduced.log[..., ::-1], sigma, inside[..., ::-1])[..., ::-1]
+    else:
+        cost = -(_rise if edge == "rise" else _line)(reduced.log, sigma, inside)
+    cost = np.ascontiguousarray(cost, np.float32)
     if excluded is not None:
         cost[excluded[nodes]] = 0.0
-    cost[outside] = 2.0
+    cost[~inside] = 5.0
     for y, x, depth in anchors:
         node = np.argmin(np.abs(reduced.y - y)), np.argmin(np.abs(reduced.x - x))
         cost[node] = 10.0 * np.minimum(np.abs(z - depth) / (2.0 * sigma), 1.0)
@@ -232,9 +238,13 @@ def track(
 
 
 def _to_full(coarse: NDArray[np.float64], reduced: Reduced) -> NDArray[np.float64]:
-    """Bilinear interpolation of a block map to every pixel, flat beyond the outer centres."""
-    ny, nx = reduced.floor.shape
-    at = [
-        np.interp(np.arange(n), c, np.arange(len(c))) for n, c in ((ny, reduced.y), (nx, reduced.x))
-    ]
-    return map_coordinates(coarse, np.meshgrid(*at, indexing="ij"), order=1)
+    """Bilinear interpolation of a block map to every pixel, with its slope beyond the ends."""
+    for axis, (centres, n) in enumerate(
+        ((reduced.y, reduced.floor.shape[0]), (reduced.x, reduced.floor.shape[1]))
+    ):
+        if len(centres) == 1:
+            coarse = np.repeat(coarse, n, axis=axis)
+        else:
+            line = make_interp_spline(centres, coarse, k=1, axis=axis)
+            coarse = line(np.arange(n))
+    return coarse
