@@ -474,7 +474,7 @@ def ome_zarr_edited(old: str, new: str) -> Case:
         attributes = path / ".zattrs"
         assert old in attributes.read_text()
         attributes.write_text(attributes.read_text().replace(old, new))
-        return path, facts, "OME-Zarr metadata are damaged|0'"
+        return path, facts, "OME-Zarr metadata are damaged|is not an array"
 
     return make
 
@@ -493,6 +493,22 @@ def npz_broken_text(folder: Path) -> tuple[Path, dict[str, Any], str]:
         ]
     _zip(folder / "a.npz", [(name, data, None) for name, data in members])
     return folder / "a.npz", NPY, "is no text"
+
+
+def netcdf_damaged_heap(folder: Path) -> tuple[Path, dict[str, Any], str]:
+    """One byte in the heap of texts and references, on which the HDF5 library loops for ever."""
+    path, facts = samples.WRITERS["netcdf"](folder, samples.volume())
+    content = bytearray(path.read_bytes())
+    content[content.index(b"GCOL") + 48] = 0xFF
+    path.write_bytes(content)
+    return path, facts, "did not get through it"
+
+
+def zarr_chunks_of_nothing(folder: Path) -> tuple[Path, dict[str, Any], str]:
+    path, facts = samples.WRITERS["zarr"](folder, samples.volume())
+    meta = path / "zarr.json"
+    meta.write_text(re.sub(r'("chunk_shape": \[\s*)4', r"\g<1>0", meta.read_text()))
+    return path, facts, ""
 
 
 def named_pipe(folder: Path) -> tuple[Path, dict[str, Any], str]:
@@ -628,6 +644,12 @@ CASES: dict[str, Case] = {
     ),
     "zarr: not JSON": zarr_edited(lambda t: t[:20], ""),
     "zarr: path outside": ome_zarr_outside,
+    "netcdf: damaged heap": netcdf_damaged_heap,
+    "tiff: pages beyond the end": file_of(
+        tiff(grey(8, 8), bytes(64), following=10**9), "beyond the end", samples.GIVEN
+    ),
+    "zarr: chunks of nothing": zarr_chunks_of_nothing,
+    "zarr: OME image is a group": ome_zarr_edited('"path": "0"', '"path": "/"'),
     "zarr: damaged Blosc chunk": zarr_damaged_blosc,
     "zarr: tiny chunks": zarr_tiny_chunks,
     "zarr: OME of another kind": ome_zarr_edited('"multiscales": [', '"multiscales": 5, "x": ['),

@@ -87,8 +87,9 @@ def _stated(path: Path, header: Any, frames: int) -> Stated:
     """Take spacing from the frame's pixel measures, wherever the kind of image keeps them."""
     measures = header
     for sequence in ("SharedFunctionalGroupsSequence", "PixelMeasuresSequence"):
-        if sequence in measures and len(measures[sequence].value) == 1:
-            measures = measures[sequence].value[0]
+        items = measures.get(sequence)
+        if items is not None and len(items) == 1:
+            measures = items[0]
     rows, columns = _numbers(path, measures, "PixelSpacing", 2)
     (between,) = _numbers(path, measures, "SpacingBetweenSlices", 1)
     if frames == 1:

@@ -6,6 +6,8 @@ The dataset's attributes ``axes``, ``spacing_mm``, ``origin_mm``, ``scale`` and
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ FORMAT = "HDF5"
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 _MAX_OBJECTS = 10_000
+_TRIAL_SECONDS = 3.0
 _MAX_RATIO = 10_000
 
 
@@ -32,9 +35,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 def read(path: Path, variable: str | None) -> Source:
     """Find the dataset and what its attributes say."""
-    import h5py
-
-    file = h5py.File(path, "r")
+    file = open_file(path)
     try:
         dataset = find_dataset(path, file, variable)
         access: Access = "streamed" if dataset.chunks else "mapped"
@@ -42,6 +43,34 @@ def read(path: Path, variable: str | None) -> Source:
     except BaseException:
         file.close()
         raise
+
+
+def open_file(path: Path) -> Any:
+    """Open an HDF5 file that a process of its own has been through without harm."""
+    import h5py
+
+    script = str(Path(__file__).with_name("hdf5_trial.py"))
+    trial = subprocess.Popen(
+        [sys.executable, "-P", script, str(path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert trial.stdout is not None
+        trial.stdout.readline()  # "ready": a slow start does not count
+        _, complaint = trial.communicate(timeout=_TRIAL_SECONDS)
+    except subprocess.TimeoutExpired:
+        raise InputError(
+            f"{path}: the HDF5 library did not get through it in {_TRIAL_SECONDS} s: damaged"
+        ) from None
+    finally:
+        trial.kill()
+        trial.communicate()
+    if trial.returncode != 0:
+        reason = (complaint.strip().splitlines() or ["the HDF5 library crashed"])[-1][:200]
+        raise InputError(f"{path}: damaged HDF5 file ({reason})")
+    return h5py.File(path, "r")
 
 
 def find_dataset(path: Path, file: Any, variable: str | None) -> Any:
@@ -110,14 +139,23 @@ def _netcdf(dataset: Any, stated: Stated, where: str) -> Stated:
     """Axes, spacing and origin from dimension scales called z, y and x."""
     import h5py
 
-    scales = [dataset.dims[i][0] if len(dataset.dims[i]) else None for i in range(3)]
-    axes = "".join(s.name.rpartition("/")[2] if s is not None and s.name else "?" for s in scales)
-    if sorted(axes) != ["x", "y", "z"]:
+    # By the numbers of netCDF's dimensions, not by HDF5's lists of references to them: those are of
+    # variable length, and a damaged length makes the library loop or take gigabytes.
+    numbers = np.ravel(dataset.attrs.get("_Netcdf4Coordinates", ()))
+    by_number = {
+        int(item.attrs["_Netcdf4Dimid"]): item
+        for name in ("z", "y", "x")
+        if isinstance(item := dataset.parent.get(name), h5py.Dataset)
+        and np.shape(item.attrs.get("_Netcdf4Dimid")) == ()
+    }
+    scales = [by_number.get(int(n)) for n in numbers]
+    axes = "".join(s.name.rpartition("/")[2] if s is not None else "?" for s in scales)
+    if sorted(axes) != ["x", "y", "z"] or dataset.shape != tuple(s.size for s in scales if s):
         return stated
     spacing: list[float | None] = []
     origin = []
-    for axis, scale in zip(axes, scales, strict=True):
-        assert isinstance(scale, h5py.Dataset)
+    for axis in axes:
+        scale = dataset.parent[axis]
         units = scale.attrs.get("units")
         if units is None or scale.ndim != 1 or not 1 <= scale.size <= 10**7:
             return Stated(axes=axes, scale=stated.scale, refractive_index=stated.refractive_index)

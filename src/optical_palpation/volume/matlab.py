@@ -41,7 +41,7 @@ def read(path: Path, variable: str | None) -> Source:
 def _read_v73(path: Path, variable: str | None) -> Source:
     import h5py
 
-    file = h5py.File(path, "r")
+    file = hdf5.open_file(path)
     try:
         stated: dict[str, Any] = {}
         for name in _DESCRIPTIONS:

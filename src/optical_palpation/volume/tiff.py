@@ -64,6 +64,10 @@ def _check_directories(path: Path) -> None:
         while position:
             if position in seen or len(seen) >= _MAX_PAGES:
                 raise InputError(f"{path}: its chain of pages is circular or too long: damaged")
+            if position >= size:
+                raise InputError(
+                    f"{path}: page directory {len(seen)} lies beyond the end: truncated"
+                )
             seen.add(position)
             stream.seek(position)
             (tags,) = struct.unpack(order + count, _exactly(stream, struct.calcsize(count), path))

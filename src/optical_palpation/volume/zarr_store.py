@@ -53,6 +53,8 @@ def read(path: Path, variable: str | None) -> Source:
         image = _ome_image(dict(node.attrs), str(path)) if variable is None else None
         if image is not None:
             array: Any = node[image["datasets"][0]["path"]]
+            if not isinstance(array, zarr.Array):
+                raise InputError(f"{path}: {image['datasets'][0]['path']} is not an array")
             stated = _ome(image["axes"], image["datasets"][0], array.shape, str(path))
         else:
             arrays = dict(_arrays(node, "", path))
@@ -62,11 +64,11 @@ def read(path: Path, variable: str | None) -> Source:
     else:
         array = node
     where = f"{path}: {array.path or 'array'}"
-    if not isinstance(array, zarr.Array):
-        raise InputError(f"{where} is not an array")
     if stated == Stated():
         stated = described(dict(array.attrs), where)
     _check_codecs(array.metadata.to_dict(), where)
+    if min(array.chunks, default=0) < 1:
+        raise InputError(f"{where} has chunks of {array.chunks} samples: damaged")
     view = squeezed(LazyArray(array, array.chunks))
     check_array(view.shape, view.dtype, where)
     if nbytes(array.chunks, view.dtype) > MAX_BSCAN_BYTES:
@@ -148,7 +150,7 @@ def _ome(axes: Any, dataset: Any, shape: tuple[int, ...], where: str) -> Stated:
     factors: Any = [1.0] * len(shape)
     for transform in dataset.get("coordinateTransformations", ()):
         if transform.get("type") == "scale":
-            factors = np.asarray(transform["scale"], float).tolist()
+            factors = np.asarray(transform.get("scale", ()), float).ravel().tolist()
     if not len(axes) == len(factors) == len(shape):
         raise InputError(f"{where}: {len(axes)} named axes for an array of shape {shape}")
     kept = [i for i, axis in enumerate(axes) if axis["name"] in ("z", "y", "x")]
