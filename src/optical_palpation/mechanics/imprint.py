@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import spline_filter
+from scipy.ndimage import gaussian_filter, spline_filter
 
 Array = NDArray[np.float64]
 
@@ -38,6 +38,16 @@ class Imprint:
         start = spline_filter(np.asarray(self.unloaded, float), order=3, mode="mirror")
         end = spline_filter(np.asarray(self.loaded, float), order=3, mode="mirror")
         object.__setattr__(self, "_coefficients", (start, end - start))
+
+    def smoothed(self, sigma: float) -> Imprint:
+        """Return the imprint smoothed by a Gaussian of standard deviation ``sigma``, mm."""
+        widths = (sigma / (self.y[1] - self.y[0]), sigma / (self.x[1] - self.x[0]))
+        return Imprint(
+            self.x,
+            self.y,
+            gaussian_filter(self.unloaded, widths, mode="nearest"),
+            gaussian_filter(self.loaded, widths, mode="nearest"),
+        )
 
     def evaluate(self, x: Array, y: Array, load: float) -> Array:
         """Height and its derivatives (h, hx, hy, hxx, hxy, hyy) at points; shape (6, *x.shape)."""
