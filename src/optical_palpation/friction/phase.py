@@ -12,9 +12,6 @@ from optical_palpation.errors import InputError
 
 Complex = NDArray[np.complexfloating]
 
-# Below this coherence the mean phase of a depth is taken for noise.
-_LOWEST_COHERENCE = 0.05
-
 
 def displacement_profile(
     before: ArrayLike,
@@ -92,11 +89,14 @@ def displacement_profile(
     total = product.sum(axis=1)
     power = np.sqrt(_power(b[inside]) * _power(a[inside]))
     coherence = np.abs(total) / np.maximum(power, np.finfo(float).tiny)
-    if np.median(coherence) < _LOWEST_COHERENCE:
+    looks = _independent(b[inside])
+    # The mean of unrelated phases has a coherence of about 1 / sqrt(looks).
+    if np.median(coherence) < 2.0 / np.sqrt(looks):
         raise InputError(
-            f"the phase of the two volumes hangs together too little (median coherence "
-            f"{np.median(coherence):.3f}, at least {_LOWEST_COHERENCE}): the step was too large, "
-            "the signal is noise, or the displacement varies over the region; take a smaller one"
+            f"the phases of the two volumes are hardly related (median coherence "
+            f"{np.median(coherence):.3f}; noise alone gives {1.0 / np.sqrt(looks):.3f}): the step "
+            "was too large, the signal is noise, phases jump between A-scans, or the displacement "
+            "varies over the region"
         )
     pixel = np.arange(total.size)
     ramp = _phase_rate(_autocorrelation(total[:, None])) * pixel
@@ -107,7 +107,6 @@ def displacement_profile(
     slope, start = np.polyfit(z[inside][near], phase[near], 1)
     phase -= 2.0 * np.pi * np.round((slope * window_depth + start) / (2.0 * np.pi))
 
-    looks = _independent(b[inside])
     floor = np.clip(coherence, 1e-3, 1.0 - 1e-9)
     error = np.sqrt((1.0 - floor**2) / (2.0 * looks * floor**2))
     to_mm = wavelength / (4.0 * np.pi * refractive_index)
