@@ -127,3 +127,11 @@ def remember_slip(problem: LayerProblem, state: LayerState) -> None:
     w *= np.minimum(1.0, _MEMORY / np.maximum(size, 1e-300))
     state.slip = np.where(state.touching(problem)[:, None], w, 0.0)
     state.anchor = lateral
+
+
+def friction_fraction(problem: LayerProblem, state: LayerState) -> Array:
+    """Share of the friction bound in use at each surface node, (2, ny + 1, nx + 1); 1 if no friction."""
+    lateral = np.stack([state.u[:2, 0], state.u[:2, -1]])
+    w2 = ((state.slip + (lateral - state.anchor) / problem.slip_length) ** 2).sum(1)
+    used = np.sqrt(w2 / (1 + w2))
+    return np.where(np.asarray(problem.friction)[:, None, None] > 0, used, 1.0)

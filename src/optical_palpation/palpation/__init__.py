@@ -1,1 +1,13 @@
+"""The two methods of optical palpation, and their common result."""
 
+from optical_palpation.palpation.algebraic import algebraic_stress
+from optical_palpation.palpation.computational import Progress, computational_stress
+from optical_palpation.palpation.result import ContactState, StressResult
+
+__all__ = [
+    "ContactState",
+    "Progress",
+    "StressResult",
+    "algebraic_stress",
+    "computational_stress",
+]

@@ -7,6 +7,8 @@ from enum import IntEnum
 
 import xarray as xr
 
+from optical_palpation.mechanics.problem import LayerProblem
+
 
 class ContactState(IntEnum):
     """State of a surface point in the ``contact_state`` maps."""
@@ -38,7 +40,11 @@ class StressResult:
         xx, yy, zz, yz, xz, xy; kPa). Surface node variables on ``(y, x)``: ``sample_traction``
         and ``window_traction`` (trailing ``component``; kPa per deformed area),
         ``sample_contact_state``, ``window_contact_state``.
+    problem
+        The boundary-value problem that was solved, for export to other codes; ``None`` for the
+        algebraic method and for results read from a file.
     """
 
     maps: xr.Dataset
     layer: xr.Dataset | None = None
+    problem: LayerProblem | None = None
