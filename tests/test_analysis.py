@@ -340,3 +340,21 @@ def test_error_halves_linearly_and_bad_calls_are_refused():
         Noise(0.1, probes=0)
     with pytest.raises(InputError, match="leave no room"):
         propagate_uncertainty(solve, values, {"a": 0.1}, bounds={"a": (0.1, 0.1)})
+
+
+def test_uncertainty_figure(tmp_path):
+    from optical_palpation.present.uncertainty_figure import write_uncertainty_figure
+
+    y, x = grid(40, 60)
+    loaded = field(0.4 + 0.03 * np.cos(4.0 * x)[None, :] * np.cos(3.0 * y)[:, None], y, x)
+
+    def solve(window_friction, loaded):
+        return result_of(-(20.0 + 60.0 * window_friction) * (0.5 - loaded) / 0.5)
+
+    values = {"window_friction": 0.15, "loaded": loaded}
+    out = propagate_uncertainty(solve, values, {"window_friction": 0.05, "loaded": Noise(0.005)})
+    write_uncertainty_figure(out, tmp_path / "u.svg")
+    text = (tmp_path / "u.svg").read_text(encoding="utf-8")
+    assert "FillBetweenPolyCollection" in text or "PolyCollection" in text
+    write_uncertainty_figure(out, tmp_path / "u.png")
+    assert (tmp_path / "u.png").stat().st_size > 20_000

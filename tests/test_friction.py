@@ -366,16 +366,16 @@ def test_flat_slab_of_independent_codes():
 
 @pytest.mark.slow
 def test_friction_recovered_from_noisy_phase_volumes():
-    # Layers of 5 x 5 x 0.5 mm under a preload to 0.42 mm, measured over 4.6 mm. The volumes come
+    # Layers of 5 x 5 x 0.5 mm under a preload to 0.45 mm, measured over 4.6 mm. The volumes come
     # from solutions on another grid and for other coefficients than the calibration.
     layer = {
         "layer_size": (5.0, 5.0),
         "initial_thickness": 0.5,
-        "loaded_thickness": 0.42,
+        "loaded_thickness": 0.45,
         "material": LAYER,
         "region": 4.6,
     }
-    calibration = calibration_curves([0.02, 0.1, 0.2, 0.3, 0.36, 0.44], elements=5, **layer)
+    calibration = calibration_curves([0.02, 0.1, 0.2, 0.3, 0.36, 0.44], elements=6, **layer)
     # Figure 2a: more friction bends the curve more, at every depth between the faces.
     middle = calibration.sel(depth=slice(0.15, 0.75)).values
     assert np.all(np.diff(middle, axis=0) < -0.004)
@@ -387,9 +387,9 @@ def test_friction_recovered_from_noisy_phase_volumes():
         def shape(depth, curve=curve.values, at=slab["depth"].values):
             return np.interp(depth, at, curve)
 
-        before, after = pair(shape, step=5e-4, snr_db=10.0, shape=(128, 32, 32), layer=0.42)
+        before, after = pair(shape, step=5e-4, snr_db=10.0, shape=(140, 32, 32), layer=0.45)
         profile = displacement_profile(
-            before, after, spacing=0.004, window_depth=0.04, sample_depth=0.46, **OPTICS
+            before, after, spacing=0.004, window_depth=0.04, sample_depth=0.49, **OPTICS
         )
         found = estimate_friction(profile, calibration)
         assert found.coefficient == pytest.approx(mu, abs=0.02)
