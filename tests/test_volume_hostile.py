@@ -648,6 +648,11 @@ CASES: dict[str, Case] = {
     "tiff: pages beyond the end": file_of(
         tiff(grey(8, 8), bytes(64), following=10**9), "beyond the end", samples.GIVEN
     ),
+    "tiff: strip at a place that is no number": file_of(
+        tiff(grey(8, 8, 8)).replace(struct.pack("<HH", 273, 4), struct.pack("<HH", 273, 2)),
+        "",
+        samples.GIVEN,
+    ),
     "zarr: chunks of nothing": zarr_chunks_of_nothing,
     "zarr: OME image is a group": ome_zarr_edited('"path": "0"', '"path": "/"'),
     "zarr: damaged Blosc chunk": zarr_damaged_blosc,

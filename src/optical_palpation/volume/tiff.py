@@ -126,7 +126,8 @@ def _check_segments(path: Path, number: int, single: Any, keyframe: Any) -> None
     offsets, counts = (
         (single.dataoffsets, single.databytecounts) if single is not None else ((), ())
     )
-    if not counts or len(offsets) != len(counts) or min(counts) <= 0 or min(offsets) <= 0:
+    whole = all(isinstance(n, int | np.integer) and n > 0 for n in (*counts, *offsets))
+    if not counts or len(offsets) != len(counts) or not whole:
         raise InputError(f"{path}: page {number} has no samples: truncated or damaged")
     end = max(o + n for o, n in zip(offsets, counts, strict=True))
     if end > path.stat().st_size:
