@@ -18,7 +18,7 @@ from optical_palpation.mechanics.direct import DirectSolver
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import NotConverged, Tolerances, equilibrate
-from optical_palpation.mechanics.path import LoadNotReached, StepControl, follow
+from optical_palpation.mechanics.path import LoadNotReached, follow
 from optical_palpation.mechanics.problem import SAMPLE, LayerProblem
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 _PRELOAD_SLIP = 3e-4
 # Under the small step it slips by less than the step: as shares of the step, a half gives an
 # incremental profile off by 0.05, a fiftieth by 0.005. Each share starts from the one before.
-_STEP_SLIPS = (0.5, 0.2, 0.1, 0.05, 0.02)
+_STEP_SLIPS = (0.5, 0.1, 0.02)
 
 
 def slab_profile(
@@ -118,9 +118,7 @@ def slab_profile(
     stress = -float(material.uniaxial_stress(-compression / initial_thickness, "true"))
     bound = 2.0 * stress * grid.surface_areas(grid.nodes[:, -1])
     try:
-        state, _, _ = follow(
-            problem, solver, Tolerances(), bound, StepControl(first=0.1, largest=0.15)
-        )
+        state, _, _ = follow(problem, solver, Tolerances(), bound)
         loaded, force = state.u.copy(), float(state.normal_force[SAMPLE].sum())
         remember_slip(problem, state)
         state.load = 1.0 + step / compression
