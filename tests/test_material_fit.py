@@ -9,8 +9,9 @@ from scipy.signal import lfilter
 
 from optical_palpation.errors import InputError, MaterialError, OutputError
 from optical_palpation.material import MooneyRivlin, stable_stretches
+from optical_palpation.material.contact import find_contact
 from optical_palpation.material.fitting import _LAWS, fit_uniaxial
-from optical_palpation.material.uniaxial import UniaxialTest, find_contact, read_uniaxial_test
+from optical_palpation.material.uniaxial import UniaxialTest, read_uniaxial_test
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data" / "uniaxial"
 needs_data = pytest.mark.skipif(not SHARED.is_dir(), reason="no measured uniaxial tests at hand")

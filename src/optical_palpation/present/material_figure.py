@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from optical_palpation.material.contact import Contact
 from optical_palpation.material.fitting import UniaxialFit
-from optical_palpation.material.uniaxial import Contact, UniaxialTest
+from optical_palpation.material.uniaxial import UniaxialTest
 from optical_palpation.present.output import atomic
 
 # Okabe and Ito's palette, told apart by all kinds of colour vision.
