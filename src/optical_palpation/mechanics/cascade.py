@@ -61,7 +61,9 @@ def coarsened(problem: LayerProblem) -> LayerProblem | None:
         for count, half, smallest in zip((nz, ny, nx), halve, (3, 5, 5), strict=True)
     )
     coarse = LayerGrid(grid.x[i], grid.y[j], grid.depth[k], grid.thickness[np.ix_(j, i)])
-    imprint = problem.imprint.smoothed(0.5 * float(np.sqrt(coarse.spacing()[2] * coarse.spacing()[1])))
+    imprint = problem.imprint.smoothed(
+        0.5 * float(np.sqrt(coarse.spacing()[2] * coarse.spacing()[1]))
+    )
     return problem.on_grid(coarse, imprint)
 
 

@@ -14,16 +14,22 @@ Friction is the smooth Coulomb law t = mu N s, s = w / sqrt(1 + |w|^2), w = w0 +
 in the x-y plane, opposing the slip since the last accepted load; w0 makes the traction continuous
 from one load to the next. The lateral equations of a surface node are
 
-    f_x + (h_x - mu s_x) f_z = 0 (imprint),    f_x + mu s_x f_z = 0 (window),
+    f_x + (a_x - mu s_x) f_z = 0 (imprint),    f_x + mu s_x f_z = 0 (window),
 
 in which the vertical internal force f_z = -+N carries both the slope and the friction bound, so
 that friction is linearised exactly together with the pressure that bounds it.
+
+The slope a = -(A_x, A_y) / A_z along which the contact force acts is that of the deformed element
+faces, with A the area vector of the node (the gradient of the layer's volume), not that of the
+imprint: a uniform pressure is then in exact equilibrium on the mesh. With the imprint's own slope a
+pressure well above the shear modulus drives the nodes sideways.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,7 +50,9 @@ class ContactLinearisation:
 
     All arrays end in ``(ny + 1, nx + 1)`` and begin with the face. ``row`` and ``column`` (x, y) are
     the factors with which the vertical equation and the vertical displacement enter the lateral
-    ones; ``block`` (xx, xy, yy) the additional lateral stiffness; ``spring`` the stiffness of the
+    ones; ``block`` (xx, xy, yy) the lateral stiffness of friction; ``turning`` (ny + 1, nx + 1, 9,
+    2, 3; imprint only) the lateral stiffness by which contact forces turn with the element faces,
+    over the neighbours 3 (dy + 1) + (dx + 1); ``spring`` the stiffness of the
     contact coordinate d, ``load`` the right-hand side that belongs to it; where ``rigid``, d is
     prescribed as ``step`` instead. ``violation`` is psi, mN.
     """
@@ -54,6 +62,7 @@ class ContactLinearisation:
     row: Array
     column: Array
     block: Array
+    turning: Array
     spring: Array
     load: Array
     rigid: NDArray[np.bool_]
@@ -77,7 +86,7 @@ def linearise(
     nodes = problem.grid.nodes
     bottom = nodes[:, 0] + state.u[:, 0]
     top = nodes[:, -1] + state.u[:, -1]
-    h, hx, hy, hxx, hxy, hyy = problem.imprint.evaluate(top[0], top[1], state.load)
+    h, hx, hy = problem.imprint.evaluate(top[0], top[1], state.load)[:3]
     penetration = np.stack([-bottom[2], top[2] - h])
     normal = state.normal_force
     reaction = np.stack([force[2, 0], -force[2, -1]])
@@ -105,7 +114,9 @@ def linearise(
     friction = np.asarray(problem.friction)[:, None, None]
     carries = (reaction > 0)[:, None] * friction[:, None] * s
     row = carries.copy()
-    row[SAMPLE] = np.stack([hx, hy]) - carries[SAMPLE]
+    area = area_vectors(top)
+    face_slope = -area[:2] / area[2]
+    row[SAMPLE] = face_slope - carries[SAMPLE]
     column = np.zeros_like(row)
     column[SAMPLE] = hx, hy
 
@@ -113,10 +124,79 @@ def linearise(
     block = np.stack(
         [stiff * (1 - s[:, 0] ** 2), -stiff * s[:, 0] * s[:, 1], stiff * (1 - s[:, 1] ** 2)], axis=1
     )
-    block[SAMPLE] -= normal[SAMPLE] * np.stack([hxx, hxy, hyy])
+    turning = np.zeros((*h.shape, 9, 2, 3))
+    _turning_stiffness(top, np.maximum(normal[SAMPLE], 0.0) / area[2], face_slope, turning)
     return ContactLinearisation(
-        penetration, violation, row, column, block, spring, load, rigid, step
+        penetration, violation, row, column, block, turning, spring, load, rigid, step
     )
+
+
+def _face_quadrature() -> tuple[Array, Array]:
+    """Shape functions [gauss, node] and derivatives [gauss, node, 2] of a bilinear face."""
+    g = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
+    shape, slope = np.empty((4, 4)), np.empty((4, 4, 2))
+    for q in range(4):
+        point = g[q & 1], g[q >> 1]
+        for a in range(4):
+            fx, fy = (t if (a >> d) & 1 else 1 - t for d, t in enumerate(point))
+            sx, sy = (1.0 if (a >> d) & 1 else -1.0 for d in range(2))
+            shape[q, a], slope[q, a] = fx * fy, (sx * fy, fx * sy)
+    return shape, slope
+
+
+_SHAPE, _SLOPE = _face_quadrature()
+
+
+def area_vectors(surface: Array) -> Array:
+    """Area vectors, mm^2, of the nodes of a bilinear surface (3, ny + 1, nx + 1), along +z.
+
+    The gradient of the volume beneath the surface with respect to each node's position.
+    """
+    corners = np.stack(
+        [surface[:, :-1, :-1], surface[:, :-1, 1:], surface[:, 1:, :-1], surface[:, 1:, 1:]]
+    )
+    out = np.zeros_like(surface)
+    ny, nx = corners.shape[2:]
+    for q in range(4):
+        along_x = np.tensordot(_SLOPE[q, :, 0], corners, 1)
+        along_y = np.tensordot(_SLOPE[q, :, 1], corners, 1)
+        vector = 0.25 * np.cross(along_x, along_y, axis=0)
+        for a in range(4):
+            j, i = a >> 1, a & 1
+            out[:, j : j + ny, i : i + nx] += _SHAPE[q, a] * vector
+    return out
+
+
+@nb.njit(cache=True)
+def _turning_stiffness(surface, pressure, slope, out):
+    """Lateral stiffness p (dA_x + a_x dA_z), p (dA_y + a_y dA_z) of each node."""
+    _, ny1, nx1 = surface.shape
+    for j in range(ny1 - 1):
+        for i in range(nx1 - 1):
+            for q in range(4):
+                t, s = np.zeros(3), np.zeros(3)
+                for b in range(4):
+                    for c in range(3):
+                        x = surface[c, j + (b >> 1), i + (b & 1)]
+                        t[c] += _SLOPE[q, b, 0] * x
+                        s[c] += _SLOPE[q, b, 1] * x
+                for b in range(4):
+                    # derivative of t x s with respect to node b: the cross product with v
+                    v0 = 0.25 * (_SLOPE[q, b, 1] * t[0] - _SLOPE[q, b, 0] * s[0])
+                    v1 = 0.25 * (_SLOPE[q, b, 1] * t[1] - _SLOPE[q, b, 0] * s[1])
+                    v2 = 0.25 * (_SLOPE[q, b, 1] * t[2] - _SLOPE[q, b, 0] * s[2])
+                    for a in range(4):
+                        jj, ii = j + (a >> 1), i + (a & 1)
+                        m = 3 * ((b >> 1) - (a >> 1) + 1) + (b & 1) - (a & 1) + 1
+                        p = pressure[jj, ii] * _SHAPE[q, a]
+                        ax, ay = slope[0, jj, ii], slope[1, jj, ii]
+                        k = out[jj, ii, m]
+                        k[0, 0] += p * (-ax * v1)
+                        k[0, 1] += p * (-v2 + ax * v0)
+                        k[0, 2] += p * v1
+                        k[1, 0] += p * (v2 - ay * v1)
+                        k[1, 1] += p * (ay * v0)
+                        k[1, 2] += p * -v0
 
 
 def remember_slip(problem: LayerProblem, state: LayerState) -> None:

@@ -68,11 +68,20 @@ class MultigridSolver:
             out_p[:] = weight * (system.volume_change(u) - compressibility * p)
             return out
 
+        # The uniform pressure is the mode that the diagonal Schur complement misses most (a layer
+        # with nowhere to go answers to it with its bulk modulus alone): it is solved for exactly.
+        interior(x)[:] = free * system.pressure_force(np.ones_like(volume))
+        response = interior(self.hierarchy.cycle(x)).copy()
+        uniform = float(system.volume_change(response).sum() + compressibility.sum())
+        total = float(volume.sum())
+
         def precondition(v: NDArray) -> NDArray:
             r_u, r_p = split(v)
             out = np.empty_like(v)
             out_u, out_p = split(out)
-            out_p[:] = schur * r_p / weight
+            r_p = r_p / weight
+            mean = float(r_p.sum(dtype=np.float64))
+            out_p[:] = schur * (r_p - volume * f32(mean / total)) - f32(mean / uniform)
             interior(x)[:] = free * (r_u - system.pressure_force(coupling * out_p))
             out_u[:] = interior(self.hierarchy.cycle(x))
             return out

@@ -40,6 +40,8 @@ class Tolerances:
         Root mean square violation of J - 1 = p / K.
     iterations
         Newton iterations allowed at one load.
+    acceptable
+        Factor by which both may be exceeded when the iterations run out.
     linear
         Relative residual to which linear systems are solved (inexact Newton).
     """
@@ -47,6 +49,7 @@ class Tolerances:
     force: float = 1e-6
     volume: float = 1e-7
     iterations: int = 25
+    acceptable: float = 10.0
     linear: float = 1e-2
 
 
@@ -182,4 +185,10 @@ def equilibrate(
         if now.force_error < 0.3 * smoothing and smoothing > _SMOOTHING[1]:
             smoothing = max(_SMOOTHING[1], 0.2 * smoothing)
             now = balance(problem, state, smoothing)
+    if (
+        smoothing == _SMOOTHING[1]
+        and now.force_error < tolerances.acceptable * tolerances.force
+        and now.volume_error < tolerances.acceptable * tolerances.volume
+    ):
+        return tolerances.iterations
     raise NotConverged(f"no convergence in {tolerances.iterations} Newton iterations")

@@ -100,10 +100,7 @@ class LayerState:
         """Return an independent copy."""
         return LayerState(
             self.load,
-            *(
-                getattr(self, name).copy()
-                for name in ("u", "p", "slip", "anchor", "normal_force")
-            ),
+            *(getattr(self, name).copy() for name in ("u", "p", "slip", "anchor", "normal_force")),
         )
 
     def touching(self, problem: LayerProblem) -> NDArray[np.bool_]:

@@ -113,7 +113,7 @@ def assemble(
         stencil,
         divergence,
     )
-    _to_contact_frame(stencil, contact.row, contact.column)
+    _to_contact_frame(stencil, contact.row, contact.column, contact.turning)
     # A trace of lateral stiffness in the tangent alone takes the rigid motions out of a layer
     # that nothing holds sideways; it does not enter the residual.
     hold = 1e-6 * problem.shear_modulus * grid.spacing()[0]
@@ -173,10 +173,26 @@ def constraints(
 
 
 @nb.njit(cache=True)
-def _to_contact_frame(stencil, row, column):
-    """Transform the rows and columns of both surfaces (in place)."""
+def _to_contact_frame(stencil, row, column, turning):
+    """Transform the rows and columns of both surfaces and add the turning stiffness (in place)."""
     nz1, ny1, _, _, nx1 = stencil.shape
     top = nz1 - 1
+    for face in range(2):
+        k = face * top
+        for j in range(ny1):
+            for m in range(27):
+                for c in range(2):
+                    for d in range(3):
+                        for i in range(nx1):
+                            stencil[k, j, m, 3 * c + d, i] += (
+                                row[face, c, j, i] * stencil[k, j, m, 6 + d, i]
+                            )
+    for j in range(ny1):
+        for m in range(9):
+            for c in range(2):
+                for d in range(3):
+                    for i in range(nx1):
+                        stencil[top, j, 9 + m, 3 * c + d, i] += turning[j, i, m, c, d]
     for k in (top - 1, top):
         dz = top - k + 1
         for j in range(ny1):
@@ -192,16 +208,6 @@ def _to_contact_frame(stencil, row, column):
                         s = stencil[k, j, m, 3 * c + 2, i]
                         stencil[k, j, m, 3 * c, i] += s * column[1, 0, jj, ii]
                         stencil[k, j, m, 3 * c + 1, i] += s * column[1, 1, jj, ii]
-    for face in range(2):
-        k = face * top
-        for j in range(ny1):
-            for m in range(27):
-                for c in range(2):
-                    for d in range(3):
-                        for i in range(nx1):
-                            stencil[k, j, m, 3 * c + d, i] += (
-                                row[face, c, j, i] * stencil[k, j, m, 6 + d, i]
-                            )
 
 
 @nb.njit(parallel=True, cache=True)

@@ -20,7 +20,7 @@ from scipy.interpolate import RegularGridInterpolator
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
-from optical_palpation.mechanics.contact import friction_fraction
+from optical_palpation.mechanics.contact import area_vectors, friction_fraction
 from optical_palpation.mechanics.elements import GRADIENTS, element_stress
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.imprint import Imprint
@@ -292,6 +292,10 @@ def _algebraic_forces(level: LayerProblem, material: MooneyRivlin) -> Array:
     height = level.imprint.evaluate(*np.meshgrid(grid.x, grid.y), 1.0)[0]
     strain = np.minimum(height / grid.thickness, 1.0) - 1.0
     stress = material.strain_adjusted_modulus(strain) * -strain
+    if level.edges == "roller":
+        # with nowhere to go the layer answers to the loss of volume with its bulk modulus
+        lost = 1 - np.minimum(height, grid.thickness).mean() / grid.thickness.mean()
+        stress = stress + material.bulk_modulus * lost
     return stress * grid.surface_areas(grid.nodes[:, -1])
 
 
@@ -307,9 +311,7 @@ def _layer(solution: Solution) -> tuple[xr.Dataset, dict[str, Array]]:
     position = grid.nodes + state.u
     force = balance(problem, state).force
     stress = np.empty((6, *grid.shape))
-    element_stress(
-        grid.nodes, state.u, state.p, problem.c10, problem.c01, GRADIENTS, stress
-    )
+    element_stress(grid.nodes, state.u, state.p, problem.c10, problem.c01, GRADIENTS, stress)
     touching = state.touching(problem)
     share = friction_fraction(problem, state)
     contact = np.where(share < SLIP_SHARE, ContactState.STICK, ContactState.SLIP)
@@ -322,7 +324,8 @@ def _layer(solution: Solution) -> tuple[xr.Dataset, dict[str, Array]]:
     }
     _, hx, hy = problem.imprint.evaluate(position[0, -1], position[1, -1], 1.0)[:3]
     slope = np.sqrt(1 + hx**2 + hy**2)
-    pressure = np.where(touching[SAMPLE], state.normal_force[SAMPLE] * slope / area, 0.0)
+    vertical_area = area_vectors(position[:, -1])[2]
+    pressure = np.where(touching[SAMPLE], state.normal_force[SAMPLE] / vertical_area, 0.0)
     normal = np.stack([-hx, -hy, np.ones_like(hx)]) / slope
     surface = {
         "contact_pressure": pressure,
@@ -400,9 +403,7 @@ def _maps(
     x = grid.x[(grid.x >= x0 - slack) & (grid.x <= x1 + slack)]
     y = grid.y[(grid.y >= y0 - slack) & (grid.y <= y1 + slack)]
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
-    moved = np.stack(
-        [surface["y"] - grid.y[:, None], surface["x"] - grid.x], axis=-1
-    )
+    moved = np.stack([surface["y"] - grid.y[:, None], surface["x"] - grid.x], axis=-1)
     shift = RegularGridInterpolator((grid.y, grid.x), moved, bounds_error=False, fill_value=None)
     lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
     reference = target.copy()
