@@ -217,7 +217,9 @@ class SyntheticOCT:
         along_x = self.optics.lateral_kernel(self.spacing[2])
         reach, margin = len(along_y) // 2, len(along_x) // 2
         rows = _recent_scatterers(self)
-        scattered = sum(w * rows(y + k) for w, k in zip(along_y, range(-reach, reach + 1)))
+        scattered = sum(
+            w * rows(y + k) for w, k in zip(along_y, range(-reach, reach + 1), strict=True)
+        )
         scattered = convolve1d(scattered, along_x, axis=1)[:, margin : margin + nx]
         spectrum = scipy.fft.fft(scattered, axis=0) + self._reflections(y)
         spectrum *= self.optics.spectrum(self.n_depth, self.spacing[0])[:, None]
@@ -225,7 +227,7 @@ class SyntheticOCT:
         noise = _speckle(rng, (self.n_depth, nx))
         lifted = rng.random(nx) < self.saturated
         noise *= np.where(lifted, 10 ** (rng.uniform(10, 25, nx) / 20), 1.0).astype(np.float32)
-        return scipy.fft.ifft(spectrum, axis=0) + noise
+        return np.asarray(scipy.fft.ifft(spectrum, axis=0) + noise, np.complex64)
 
     def bscan(self, y: int) -> NDArray[np.float32]:
         """Amplitude image `[z, x]` of row `y`."""
@@ -287,16 +289,16 @@ def complex_pair(
     margins = [len(kernel) // 2 for kernel in kernels]
     pad = [(0, 0), *((m, m) for m in margins)]
     intensity = 10 ** (snr_db / 10) * np.broadcast_to(np.asarray(reflectivity, float), u.shape)
-    scatterers = np.sqrt(np.pad(intensity, pad, mode="edge")).astype(np.float32)
-    scatterers = scatterers * _speckle(rng, scatterers.shape)
+    amplitude = np.sqrt(np.pad(intensity, pad, mode="edge")).astype(np.float32)
+    scatterers = amplitude * _speckle(rng, amplitude.shape)
     spectrum = optics.spectrum(u.shape[0], spacing[0])[:, None, None]
 
     def image(source: NDArray[np.complex64]) -> NDArray[np.complex64]:
         for axis in (1, 2):
             source = convolve1d(source, kernels[axis - 1], axis=axis)
-        inner = tuple(slice(m, n - m) for m, n in zip((0, *margins), source.shape))
+        inner = tuple(slice(m, n - m) for m, n in zip((0, *margins), source.shape, strict=True))
         field = scipy.fft.ifft(scipy.fft.fft(source[inner], axis=0) * spectrum, axis=0)
-        return field + _speckle(rng, u.shape)
+        return np.asarray(field + _speckle(rng, u.shape), np.complex64)
 
     return image(scatterers), image(
         _moved(scatterers, np.pad(u, pad, mode="edge"), spacing, optics)
@@ -316,7 +318,7 @@ def _moved(
     position = np.arange(nz)[:, None, None] + u / spacing[0]
     lower = np.floor(position).astype(np.intp)
     share = (position - lower).astype(np.float32)
-    _, y, x = np.indices(u.shape, sparse=True)
+    y, x = np.arange(u.shape[1])[:, None], np.arange(u.shape[2])
     moved = np.zeros_like(turned)
     for voxel, part in ((lower, 1.0 - share), (lower + 1, share)):
         np.add.at(moved, (voxel % nz, *np.broadcast_arrays(y, x)), turned * part)

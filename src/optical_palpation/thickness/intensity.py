@@ -135,7 +135,12 @@ def point_spread(read: Read, ny: int) -> tuple[float, float]:
     for y in _some(ny):
         tiles = _tiles(np.maximum(read(int(y)), 0.0))
         mean = tiles.mean((1, 2), keepdims=True)
-        bright = mean.ravel() >= np.quantile(mean, 0.8)
+        columns = tiles.mean(axis=1)  # an A-scan of a saturated detector stands out of its tile
+        even = columns.max(axis=1) < 4.0 * np.median(columns, axis=1)
+        even &= tiles.std((1, 2)) < 1.5 * mean.ravel()  # and so does a reflection
+        if not np.any(even):
+            continue
+        bright = even & (mean.ravel() >= np.quantile(mean[even], 0.8))
         speckle = np.minimum(tiles[bright] / np.maximum(mean[bright], 1e-30), 6.0)
         speckle = speckle - speckle.mean(axis=2, keepdims=True)  # what is level is structure
         for axis in (1, 2):
@@ -148,9 +153,22 @@ def point_spread(read: Read, ny: int) -> tuple[float, float]:
                 for lag in range(n // 2)
             ]
             products[axis - 1].append(np.stack(lagged))
-    # A median, because a tile with a saturated A-scan is a tile of noise.
-    along_z, along_x = (np.median(np.concatenate(p, axis=1), axis=1) for p in products)
-    return _width(along_z), _width(along_x)
+    if not products[0]:
+        return SIGMA_RANGE[0], SIGMA_RANGE[0]
+    along_z, along_x = (np.mean(np.concatenate(p, axis=1), axis=1) for p in products)
+    sigma_z = _width(along_z)
+    # The axial fit gives the variance of the speckle without that of the noise, so that one lateral
+    # lag is enough: pixels are often as far apart as the resolution.
+    variance = along_z[1] * np.exp(1.0 / (4.0 * sigma_z**2))
+    if along_x[1] > 0.5 * variance:
+        return sigma_z, _width(along_x)
+    measured, sigma_x = float(np.clip(along_x[1] / max(variance, 1e-30), 0.01, 0.5)), SIGMA_RANGE[0]
+    for _ in range(4):
+        # The mean over the tile's columns, taken away above, held this share of the speckle.
+        taken = min(np.sqrt(4.0 * np.pi) * sigma_x / TILE[1], 0.5)
+        drop = -np.log(measured * (1.0 - taken) + taken)
+        sigma_x = float(np.clip(np.sqrt(1.0 / (4.0 * drop)), *SIGMA_RANGE))
+    return sigma_z, sigma_x
 
 
 def _width(products: NDArray[np.float64]) -> float:

@@ -16,8 +16,14 @@ from scipy.special import ndtr
 
 from .tracking import Edge, column_weights
 
-PIXEL_VARIANCE = 1 / 12 + 1 / 12  # blur by the pixel itself and by interpolation between pixels
+# Each round tries positions this far to either side, in profiles this long (widths of the step).
+SEARCHES = ((7.0, 13.0), (3.0, 10.0), (2.0, 9.0))
+NEAR = 6.0  # widths below the step over which the brightness of the sample counts
+# What is this much brighter than the layer is sample; how much brighter says nothing about where
+# it begins. Real samples often grow brighter below their surface.
+CEILING = 20.0
 OFFSET = 0.05  # of the bright side, added to the profile: keeps faint tails from steering
+PIXEL_VARIANCE = 1 / 12 + 1 / 12  # blur by the pixel itself and by interpolation between pixels
 
 
 @njit(cache=True, nogil=True)
@@ -56,11 +62,12 @@ def _flatten(band, centre, weight, profile, share):
 
 
 @njit(cache=True, parallel=True)
-def _fit_step(profile, level, rises, dark_ends, bright_starts, step, shift, contrast):
+def _fit_step(profile, level, rises, dark_ends, bright_starts, bright_ends, step, shift, contrast):
     """Most likely position of a blurred step in each profile, and the contrast of its sides.
 
-    `rises[i, t, k]` is the unit step of width i at trial position t, flat below pixel
-    `dark_ends[i, t]` and not blurred from `bright_starts[i, t]` on; `level[y, x]` chooses the width.
+    `rises[i, t, k]` is the unit step of width i at trial position t. It is dark up to pixel
+    `dark_ends[i, t]`, and its height is taken between `bright_starts[i, t]` and
+    `bright_ends[i, t]`; `level[y, x]` chooses the width.
     A parabola through the best three trials gives the fraction. The contrast is that of Michelson,
     (bright - dark) / (bright + dark).
     """
@@ -76,20 +83,22 @@ def _fit_step(profile, level, rises, dark_ends, bright_starts, step, shift, cont
             for k in range(nk):
                 total[k + 1] = total[k] + p[k]
             quarter = nk // 4
-            offset = OFFSET * (total[nk] - total[nk - quarter]) / quarter + 1e-30
+            ceiling = CEILING * total[quarter] / quarter + 1e-30
+            offset = OFFSET * min(ceiling, (total[nk] - total[nk - quarter]) / quarter) + 1e-30
             best = 0
             for t in range(tries):
-                rise = rises[level[y, x], t]
-                top, bottom = dark_ends[level[y, x], t], bright_starts[level[y, x], t]
+                i = level[y, x]
+                rise = rises[i, t]
+                top, start, end = dark_ends[i, t], bright_starts[i, t], bright_ends[i, t]
                 dark = total[top] / top
-                height = (total[nk] - total[bottom] - (nk - bottom) * dark) / rise[bottom:].sum()
+                height = (total[end] - total[start] - (end - start) * dark) / rise[start:end].sum()
                 score[t] = np.inf
                 contrasts[t] = max(0.0, height / (height + 2.0 * dark + 1e-30))
                 if height > 0:
                     score[t] = 0.0
                     for k in range(nk):
-                        mean = dark + height * rise[k] + offset
-                        score[t] += math.log(mean) + (p[k] + offset) / mean
+                        mean = min(dark + height * rise[k], ceiling) + offset
+                        score[t] += math.log(mean) + (min(p[k], ceiling) + offset) / mean
                 if score[t] < score[best]:
                     best = t
             contrast[y, x] = contrasts[best]
@@ -131,7 +140,7 @@ def _fit_line(profile, kernel, reach, shift, quality):
             if 0 < best < 2 * reach:
                 a, b = score[best] - score[best - 1], score[best] - score[best + 1]
                 if a + b > 0:
-                    shift[y, x] += 0.5 * (b - a) / (a + b) * -1.0
+                    shift[y, x] += 0.5 * (a - b) / (a + b)
 
 
 def averaged(
@@ -184,75 +193,85 @@ def refine(
             flipped, -(first + last), -start, floor, "rise", sigma=sigma, cell=cell, lateral=lateral
         )
         return -depth, quality
-    half = max(int(round(14.0 * sigma)), 8)
     weight = column_weights(floor)
     depth = start.copy()
-    profile, share = np.empty((2, *start.shape, 2 * half + 1), np.float32)
-    for reach in (8.0 * sigma, 3.0 * sigma, 2.0 * sigma):
+    for reach, span in SEARCHES:
         # Flattening along the noise of the last estimate would confirm it: smooth it first.
         depth = _smooth(depth, lateral)
+        blur = _blur(depth, cell, sigma)
+        typical = float(np.median(blur))
+        half = max(int(round(span * typical)), 8)
+        profile, share = np.empty((2, *start.shape, 2 * half + 1), np.float32)
         _flatten(band, depth - first, weight, profile, share)
         mean = averaged(profile, share, lateral)
         if edge == "rise":
-            slope = np.hypot(
-                *(
-                    np.gradient(depth, axis=i) * cell[i] if n > 1 else 0.0 * depth
-                    for i, n in enumerate(depth.shape)
-                )
-            )
-            shift, quality = _step_shift(mean, sigma, slope, reach)
+            shift, quality = _step_shift(mean, sigma, blur, reach * typical)
         else:
             shift, quality = np.zeros((2, *start.shape))
             wide = max(int(round(4.0 * sigma)), 2)
             kernel = np.exp(-(np.arange(-wide, wide + 1) ** 2) / (4.0 * sigma**2))
-            _fit_line(mean, kernel, min(int(round(reach)), half - wide - 1), shift, quality)
+            _fit_line(
+                mean, kernel, min(int(round(reach * typical)), half - wide - 1), shift, quality
+            )
         depth = depth + shift
     return depth, quality
 
 
 def _step_shift(
-    mean: NDArray[np.float32], sigma: float, slope_blur: NDArray[np.float64], reach: float
+    mean: NDArray[np.float32], sigma: float, blur: NDArray[np.float64], reach: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Shift of the step in averaged profiles, and its contrast.
+    """Shift of a step of width `blur` in averaged profiles, and its contrast.
 
-    The step is wider than the axial point-spread function by the slope of the surface within the
-    lateral one (`slope_blur`, pixels) and by the pixels themselves; below it the mean falls as the
-    sample attenuates the light.
+    Below the step the mean falls as the sample attenuates the light.
     """
     half = mean.shape[2] // 2
     step = sigma / 3.0
     trials = step * np.arange(-round(reach / step), round(reach / step) + 1)
     depth = np.arange(-half, half + 1) - trials[:, None]
     widths = sigma * 1.2 ** np.arange(10)[:, None, None]
-    rises = ndtr(depth / widths) * np.exp(-_decay(mean, sigma) * np.maximum(depth, 0.0))
+    rises = ndtr(depth / widths) * np.exp(-_decay(mean) * np.maximum(depth, 0.0))
     dark_ends = np.maximum(np.sum(depth < -2.0 * widths, axis=-1), 1)
-    bright_starts = np.minimum(np.sum(depth <= 2.0 * widths, axis=-1), 2 * half)
-    blur = np.sqrt(sigma**2 + slope_blur**2 + PIXEL_VARIANCE)
+    bright_starts = np.minimum(np.sum(depth <= 2.0 * widths, axis=-1), 2 * half - 2)
+    bright_ends = np.maximum(np.sum(depth <= NEAR * widths, axis=-1), bright_starts + 3)
     level = np.argmin(np.abs(np.log(blur[..., None] / widths.ravel())), axis=-1)
     shift, contrast = np.zeros((2, *level.shape))
     _fit_step(
-        mean, level, rises.astype(np.float32), dark_ends, bright_starts, step, shift, contrast
+        mean,
+        level,
+        rises.astype(np.float32),
+        dark_ends,
+        bright_starts,
+        bright_ends,
+        step,
+        shift,
+        contrast,
     )
     return shift, contrast
 
 
-def _slope_blur(depth: NDArray[np.float64], cell: tuple[float, float]) -> NDArray[np.float64]:
-    """Spread of depth, pixels, that the surface has within the lateral point-spread function."""
-    blur = np.zeros_like(depth)
+def _blur(
+    depth: NDArray[np.float64], cell: tuple[float, float], sigma: float
+) -> NDArray[np.float64]:
+    """Width of the step at a surface, pixels.
+
+    The axial point-spread function widens it, the slope of the surface within the lateral one,
+    and the pixels themselves.
+    """
+    variance = np.full_like(depth, sigma**2 + PIXEL_VARIANCE)
     for axis, width in enumerate(cell):
         if depth.shape[axis] > 1:
-            blur += (width * np.gradient(depth, axis=axis)) ** 2
-    return np.sqrt(blur)
+            variance += (width * np.gradient(depth, axis=axis)) ** 2
+    return np.sqrt(variance)
 
 
-def _decay(mean: NDArray[np.float32], sigma: float) -> float:
-    """Attenuation of the sample below its surface, per pixel: a median over all profiles."""
+def _decay(mean: NDArray[np.float32]) -> float:
+    """Attenuation below the surface, per pixel: a median over all profiles."""
     half = mean.shape[2] // 2
-    cuts = [half + int(round(n * sigma)) for n in (5.0, 9.0, 13.0)]
+    cuts = [half + int(round(share * half)) for share in (0.36, 0.66, 0.96)]
     near, far = (np.mean(mean[..., a:b], axis=-1) for a, b in zip(cuts, cuts[1:], strict=False))
     good = (near > 0) & (far > 0)
     ratio = np.median(near[good] / far[good]) if np.any(good) else 1.0
-    return float(np.log(ratio)) / (0.5 * (cuts[2] - cuts[0]))
+    return max(float(np.log(ratio)) / (0.5 * (cuts[2] - cuts[0])), 0.0)
 
 
 def _smooth(depth: NDArray[np.float64], lateral: tuple[float, float]) -> NDArray[np.float64]:

@@ -23,6 +23,8 @@ Edge = Literal["rise", "fall", "line"]
 BLOCK = 4  # lateral pixels per side of a block: some ten looks at the speckle
 QUIET_ROWS = 32  # an A-scan's noise floor is taken from stretches of this many pixels
 SLOPE_COST = 0.12  # cost of a slope of 1 from block to block; a clear edge is worth 1
+ANCHOR_COST = 20.0  # of leaving an anchor, which falls off over this many blocks:
+ANCHOR_REACH = 4.0
 JUMP_COST = 0.6  # the most that two neighbouring blocks can disagree for
 
 
@@ -214,6 +216,8 @@ def track(
     iy, ix = np.round(reduced.y).astype(int), np.round(reduced.x).astype(int)
     nodes = np.ix_(iy, ix)
     z = np.arange(reduced.log.shape[-1])
+    dz, dy, dx = spacing
+    steps = [BLOCK * d / dz for d in (dy, dx)]  # pixels along z per block for a slope of 1
     inside = (z >= first[nodes][..., None]) & (z <= last[nodes][..., None])
     if edge == "fall":
         cost = -_rise(reduced.log[..., ::-1], sigma, inside[..., ::-1])[..., ::-1]
@@ -224,17 +228,33 @@ def track(
         cost[excluded[nodes]] = 0.0
     cost[~inside] = 5.0
     for y, x, depth in anchors:
-        node = np.argmin(np.abs(reduced.y - y)), np.argmin(np.abs(reduced.x - x))
-        cost[node] = 10.0 * np.minimum(np.abs(z - depth) / (2.0 * sigma), 1.0)
+        _anchor(cost, z - depth, [(reduced.y - y) / BLOCK, (reduced.x - x) / BLOCK], steps, sigma)
     total = -3.0 * cost if len(iy) > 1 else -cost
-    dz, dy, dx = spacing
-    steps = [BLOCK * d / dz for d in (dy, dx)]  # pixels along z per block for a slope of 1
     _aggregate(cost, total, np.float32(SLOPE_COST / steps[1]), np.float32(JUMP_COST))
     if len(iy) > 1:
         turned, turned_total = cost.transpose(1, 0, 2), total.transpose(1, 0, 2)
         _aggregate(turned, turned_total, np.float32(SLOPE_COST / steps[0]), np.float32(JUMP_COST))
     coarse = np.argmin(total, axis=-1).astype(float)
     return _to_full(coarse, reduced)
+
+
+def _anchor(
+    cost: NDArray[np.float32],
+    off: NDArray[np.float64],
+    distances: list[NDArray[np.float64]],
+    steps: list[float],
+    sigma: float,
+) -> None:
+    """Make depths `off` pixels from an anchor dear, the more so the nearer (blocks) it is.
+
+    Around it lies a cone with a slope of 1 in which the surface is free to go where it is seen.
+    """
+    near = np.ix_(*(np.flatnonzero(np.abs(d) < 4.0 * ANCHOR_REACH) for d in distances))
+    dy, dx = (d[i] for d, i in zip(distances, near, strict=True))
+    free = 2.0 * sigma + np.maximum(np.hypot(dy * steps[0], dx * steps[1]) - min(steps), 0.0)
+    pull = ANCHOR_COST * np.exp(-0.5 * (dy**2 + dx**2) / ANCHOR_REACH**2)
+    excess = (np.abs(off) - free[..., None]) / (4.0 * sigma)
+    cost[near] += (pull[..., None] * np.clip(excess, 0.0, 1.0)).astype(np.float32)
 
 
 def _to_full(coarse: NDArray[np.float64], reduced: Reduced) -> NDArray[np.float64]:

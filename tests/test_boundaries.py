@@ -1,0 +1,243 @@
+import numpy as np
+import pytest
+import xarray as xr
+
+from optical_palpation.errors import InputError
+from optical_palpation.experiment.synthetic_oct import FWHM, Optics, SyntheticOCT
+from optical_palpation.thickness.boundaries import find_layer
+from optical_palpation.thickness.corrections import Anchor, Corrections, Exclusion, read_corrections
+from optical_palpation.thickness.intensity import intensity_reader, point_spread
+from optical_palpation.thickness.registration import lateral_shift, shift_map
+
+SPACING = (0.0029, 0.01, 0.01)
+SHAPE = (64, 96)
+Y, X = np.meshgrid(*(0.01 * np.arange(n) for n in SHAPE), indexing="ij")
+SMOOTH = 0.35 + 0.05 * np.sin(2 * np.pi * X / 0.9) + 0.02 * np.cos(2 * np.pi * Y / 0.5)
+
+
+def volume(thickness=SMOOTH, **given) -> SyntheticOCT:
+    return SyntheticOCT(thickness, SPACING, 280, **{"tilt": (0.02, 0.03), "snr_db": 20.0} | given)
+
+
+def found(of: SyntheticOCT, **given) -> tuple[xr.Dataset, np.ndarray]:
+    layer = find_layer(of, spacing=of.spacing, scale="linear", **given)
+    return layer, (layer.thickness.values - of.thickness) / of.spacing[0]
+
+
+def rms(a: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(a**2)))
+
+
+@pytest.mark.parametrize(("snr", "limit"), [(30.0, 0.5), (20.0, 0.7), (10.0, 1.5)])
+def test_thickness_to_a_fraction_of_a_pixel(snr, limit):
+    layer, error = found(volume(snr_db=snr))
+    assert rms(error) < limit
+    assert abs(error.mean()) < (0.2 if snr == 20.0 else 0.4)
+    assert layer.filled_share < 0.01
+    assert float(layer.quality.min()) >= 0.0
+    assert float(layer.quality.max()) <= 1.0
+    np.testing.assert_allclose(layer.thickness, layer.sample_depth - layer.window_depth, atol=1e-12)
+    assert layer.thickness.attrs["units"] == "mm"
+    assert float(layer.x[1] - layer.x[0]) == pytest.approx(0.01)
+
+
+def test_neither_ghosts_nor_saturated_columns_nor_a_bright_interface_mislead():
+    troubled = volume(ghosts=((0.15, 5.0), (0.2, -5.0)), saturated=0.03, interface_db=0.0)
+    assert rms(found(troubled)[1]) < 1.5
+
+
+def test_a_shadow_is_filled_and_says_so():
+    light = np.ones(SHAPE)
+    light[16:44, 34:62] = 1e-4
+    layer, error = found(volume(transmission=light))
+    assert layer.filled.values[26:34, 44:52].all()
+    assert (layer.quality.values[layer.filled.values] == 0).all()
+    assert np.abs(error).max() < 12.0
+    far = np.ones(SHAPE, bool)
+    far[8:52, 26:70] = False
+    assert not layer.filled.values[far].any()
+    assert rms(error[far]) < 0.6
+
+
+def test_where_the_layer_hangs_free_the_sample_is_found():
+    gap = np.where(X > 0.7, 0.06, 0.0)
+    free = volume(gap=gap, interface_db=5.0)
+    layer, _ = found(free)
+    error = (layer.thickness.values - free.thickness - gap)[:, :60] / SPACING[0]
+    assert rms(error) < 1.2  # the interface's own reflection counts a little
+    beyond = (layer.thickness.values - free.thickness - gap)[:, 80:] / SPACING[0]
+    assert rms(beyond) < 1.0
+
+
+def test_result_follows_the_mirror_image():
+    of = volume()
+    stack = np.stack(list(of), axis=1)
+    given = {"spacing": SPACING, "scale": "linear"}
+    plain = find_layer(stack, **given).thickness.values
+    mirrored = find_layer(np.ascontiguousarray(stack[:, ::-1, ::-1]), **given).thickness.values
+    assert rms((plain - mirrored[::-1, ::-1]) / SPACING[0]) < 0.1
+
+
+def test_amplitude_intensity_and_decibels_give_the_same_layer():
+    stack = np.stack(list(volume()), axis=1)
+    maps = [
+        find_layer(data, spacing=SPACING, scale=scale).thickness.values
+        for data, scale in (
+            (stack, "linear"),
+            (stack**2, "linear"),
+            (20 * np.log10(stack), "dB"),
+            (1000 * np.log(stack) + 9000, "dB"),  # logarithm in a unit of its own
+        )
+    ]
+    for other in maps[1:3]:
+        assert rms((other - maps[0]) / SPACING[0]) < 0.1
+    assert rms((maps[3] - maps[0]) / SPACING[0]) < 0.3
+
+
+def test_padding_without_data_is_no_layer():
+    stack = np.stack(list(volume()), axis=1)
+    padded = np.concatenate([np.zeros((60, *SHAPE), np.float32), stack])
+    layer = find_layer(padded, spacing=SPACING, scale="linear")
+    error = (layer.thickness.values - SMOOTH) / SPACING[0]
+    assert rms(error) < 0.7
+    assert float(layer.window_depth.min()) > 60 * SPACING[0]
+
+
+def test_single_bscan_and_known_window():
+    of = volume()
+    image = of.bscan(20)[:, None, :]
+    layer = find_layer(image, spacing=(0.0029, np.nan, 0.01), scale="linear")
+    assert layer.thickness.shape == (1, 96)
+    assert rms((layer.thickness.values[0] - SMOOTH[20]) / SPACING[0]) < 1.5
+    given = find_layer(image, spacing=SPACING, scale="linear", window=0.1)
+    assert np.all(given.window_depth == 0.1)
+    assert np.allclose(given.sample_depth, layer.sample_depth, atol=3 * SPACING[0])
+
+
+@pytest.mark.parametrize("factor", [40.0, 0.1])
+def test_other_modalities_are_a_matter_of_scale(factor):
+    """Ultrasound-like and confocal-like pixels: the same numbers of pixels, other millimetres."""
+    optics = Optics(5.5e-3 * factor, 13e-3 * factor)
+    spacing = tuple(factor * s for s in SPACING)
+    of = SyntheticOCT(
+        factor * SMOOTH,
+        spacing,
+        280,
+        window_depth=0.15 * factor,
+        optics=optics,
+        attenuation=4 / factor,
+    )
+    assert rms(found(of)[1]) < 0.7
+
+
+def test_canny_finds_a_clean_layer_and_the_tracked_surface_is_better():
+    clean = volume(snr_db=30.0)
+    canny, canny_error = found(clean, method="canny")
+    assert rms(canny_error) < 4.0
+    assert rms(found(clean)[1]) < rms(canny_error)
+    assert canny.attrs["method"] == "canny"
+
+
+def test_anchor_leads_the_surface_and_exclusion_leaves_it_out(tmp_path):
+    # A scattering film in the layer looks more like its sample side than the sample does.
+    of = volume()
+    stack = np.stack(list(of), axis=1)
+    rows = slice(100, 130)
+    stack[rows] += 30 * np.abs(np.random.default_rng(0).standard_normal(stack[rows].shape))
+    wrong = find_layer(stack, spacing=SPACING, scale="linear")
+    assert abs(np.median(wrong.sample_depth) / SPACING[0] - 100) < 4
+    points = [(y, x) for y in range(2, 64, 8) for x in range(2, 96, 8)]
+    depth = of.window_map + SMOOTH
+    text = "".join(f"anchor sample {0.01 * x} {0.01 * y} {depth[y, x]}\n" for y, x in points)
+    path = tmp_path / "corrections.txt"
+    path.write_text(f"# by hand\n{text}exclude sample 0.30 0.50 0.20 0.40  # dirt\n")
+    right = find_layer(stack, spacing=SPACING, scale="linear", corrections=path)
+    assert np.median(np.abs(right.sample_depth.values - depth)) / SPACING[0] < 3
+    assert right.filled.values[20:41, 30:51].all()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("anchor top 1 2 3", "window or sample"),
+        ("anchor sample 1 2", "takes 3 numbers"),
+        ("anchor sample 1 2 nan", "takes 3 numbers"),
+        ("\nexclude window 1 0 0 1", "line 2"),
+        ("move sample 1", "anchor or exclude"),
+    ],
+)
+def test_corrections_that_cannot_be_understood(tmp_path, text, said):
+    path = tmp_path / "c.txt"
+    path.write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_corrections(path)
+
+
+def test_corrections_in_pixels():
+    fixes = Corrections((Anchor("window", 2.0, 3.0, 4.0),), (Exclusion("sample", 1, 2, 0, 1),))
+    assert fixes.anchor_pixels("window", (1.0, 0.0, 0.0), (0.5, 1.0, 2.0)) == [(3.0, 1.0, 6.0)]
+    assert fixes.anchor_pixels("sample", (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)) == []
+    mask = fixes.excluded_pixels("sample", (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (3, 4))
+    assert mask.tolist() == [[False, True, True, False]] * 2 + [[False] * 4]
+
+
+def test_noise_holds_no_layer():
+    noise = np.abs(np.random.default_rng(1).standard_normal((200, 16, 32))).astype(np.float32)
+    with pytest.raises(InputError, match="nowhere to be seen"):
+        find_layer(noise, spacing=SPACING, scale="linear")
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"spacing": None}, "spacing"),
+        ({"scale": None}, "scale"),
+        ({"scale": "log"}, "scale"),
+        ({"spacing": (0.0, 1.0, 1.0)}, "positive"),
+        ({"window": "edge"}, "window is"),
+        ({"window": np.nan}, "depth in mm"),
+        ({"method": "guess"}, "method"),
+        ({"sample_range": (0.5, 0.1)}, "search range"),
+        ({"corrections": "missing.txt"}, "cannot be read"),
+    ],
+)
+def test_input_that_cannot_be_used(given, said):
+    stack = np.stack([volume().bscan(0)] * 2, axis=1)
+    with pytest.raises(InputError, match=said):
+        find_layer(stack, **{"spacing": SPACING, "scale": "linear"} | given)
+
+
+def test_all_missing_volume_is_refused():
+    with pytest.raises(InputError, match="finite data"):
+        find_layer(np.full((64, 4, 32), np.nan), spacing=SPACING, scale="linear")
+
+
+def test_resolution_is_read_off_the_speckle():
+    for axial in (6e-3, 12e-3):
+        of = volume(optics=Optics(axial, 2.5 * axial), saturated=0.02)
+        along_z, along_x = point_spread(intensity_reader(of, "linear"), SHAPE[0])
+        assert along_z == pytest.approx(axial / FWHM / SPACING[0], rel=0.15)
+        assert along_x == pytest.approx(2.5 * axial / FWHM / SPACING[2], rel=0.3)
+
+
+def test_maps_are_registered_to_each_other():
+    def features(dy: float, dx: float) -> xr.DataArray:
+        values = np.sin(9 * (X - dx)) * np.cos(7 * (Y - dy)) + np.exp(
+            -((X - dx - 0.5) ** 2 + (Y - dy - 0.3) ** 2) / 0.005
+        )
+        tilted = values + 5.0 * X
+        return xr.DataArray(tilted, {"y": Y[:, 0], "x": X[0]}, ("y", "x"))
+
+    reference, moving = features(0.0, 0.0), features(0.03, -0.052)
+    shift = lateral_shift(reference, moving)
+    assert shift == pytest.approx((0.03, -0.052), abs=0.01)
+    inner = (slice(10, -10), slice(10, -10))
+    plane = 5.0 * 0.052  # the tilt travels along and is not a feature
+    back = shift_map(moving, shift).values[inner]
+    assert np.std(back - reference.values[inner]) < 0.1 * np.std(
+        moving.values[inner] - reference.values[inner]
+    )
+    assert np.mean(back - reference.values[inner]) == pytest.approx(-plane, abs=0.05)
+    assert np.isnan(shift_map(moving, (0.03, 0.0)).values[-1]).all()
+    with pytest.raises(InputError, match="features"):
+        lateral_shift(reference * 0 + X, moving)
