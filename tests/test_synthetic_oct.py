@@ -77,7 +77,7 @@ def test_shadow_saturation_ghost_and_clipping():
     assert np.median(sample[:, 35:55]) < 0.1 * np.median(sample[:, 65:])
     noise = (stack[:30] ** 2).mean(axis=0)
     assert 0.05 < np.mean(noise > 5.0) < 0.15
-    assert np.median(stack[int(round(0.25 / 0.003)), :, 70:]) > 5 * np.median(stack[70, :, 70:])
+    assert np.median(stack[round(0.25 / 0.003), :, 70:]) > 5 * np.median(stack[70, :, 70:])
 
 
 def test_a_bscan_depends_on_seed_and_index_alone():

@@ -1,5 +1,6 @@
 """The layer's two boundaries in an OCT volume, and its thickness between them."""
 
+import mmap
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,16 +31,25 @@ CELLS = (2.0, 4.0)  # lateral averaging over this many resolution cells, in two 
 WORST_CONTRAST = 0.25  # a boundary of less contrast is not seen
 HAMPEL = 3.0  # an outlier is this many (robust) standard deviations off the median around it
 FWHM = 2.355
+RELEASE = 32  # B-scans after which the pages of a mapped file are given back
 
 
 class _Array:
-    """An array `[z, y, x]` as B-scans."""
+    """An array `[z, y, x]`, in memory or mapped, as B-scans."""
 
     def __init__(self, array: NDArray) -> None:
         self.shape, self._array = array.shape, array
+        base: object = array
+        while isinstance(base, np.ndarray):
+            base = base.base
+        self._map: mmap.mmap | None = base if isinstance(base, mmap.mmap) else None
 
     def bscan(self, y: int) -> NDArray:
-        return self._array[:, y, :]
+        image = self._array[:, y, :].copy()
+        if self._map is not None and y % RELEASE == RELEASE - 1 and hasattr(mmap, "MADV_DONTNEED"):
+            # Pages that were read stay with the system, but need not count as this process's.
+            self._map.madvise(mmap.MADV_DONTNEED)
+        return image
 
 
 @dataclass(frozen=True)
@@ -141,25 +151,23 @@ def find_layer(
     ny, nx = scan.shape[1:]
     first, last = scan.depths(window_range, (0.0, scan.shape[0] - 1.0))
     ends = np.full((ny, nx), first), np.full((ny, nx), last)
-    parts: dict[str, tuple[NDArray, NDArray, NDArray]] = {}
+    found: dict[str, tuple[Edge, NDArray]] = {}
     if isinstance(window, str):
         top = _locate(scan, window, *ends, fixes, "window", method)
+        found["window"] = window, top
     else:
         if not np.isfinite(window):
             raise InputError(f"window depth is {window}; give a depth in mm")
         top = np.full((ny, nx), (float(window) - scan.origin[0]) / scan.spacing[0])
-        parts["window"] = top, np.ones((ny, nx)), np.zeros((ny, nx), bool)
     first, last = scan.depths(sample_range, (0.0, scan.shape[0] - 1.0))
     lowest = np.maximum(first, top + GUARD * scan.sigma)
     bottom = _locate(scan, sample, lowest, np.full((ny, nx), last), fixes, "sample", method)
+    found["sample"] = sample, bottom
     tell(0.5)
-    searched = {"window": (window, top), "sample": (sample, bottom)}
-    edges = {name: e for name, e in searched.items() if name not in parts}
-    parts |= _finish(scan, edges, fixes, method, lambda share: tell(0.5 + 0.5 * share))
-    (top, top_quality, top_filled), (bottom, bottom_quality, bottom_filled) = (
-        parts["window"],
-        parts["sample"],
-    )
+    parts = {"window": (top, np.ones((ny, nx)), np.zeros((ny, nx), bool))}
+    parts |= _finish(scan, found, fixes, method, lambda share: tell(0.5 + 0.5 * share))
+    top, top_quality, top_filled = parts["window"]
+    bottom, bottom_quality, bottom_filled = parts["sample"]
     filled = top_filled | bottom_filled
     quality = np.where(filled, 0.0, np.minimum(top_quality, bottom_quality))
     dz, z0 = scan.spacing[0], scan.origin[0]
@@ -294,7 +302,7 @@ def _finish(
     Returns depth (pixels), quality and filled pixels of each boundary.
     """
     ny, nx = scan.shape[1:]
-    reach = int(round(BAND * scan.sigma)) + 2
+    reach = round(BAND * scan.sigma) + 2
     bands = {name: np.empty((ny, nx, 2 * reach + 1), np.float32) for name in found}
     starts = {
         name: np.nan_to_num(np.round(depth), nan=0.0).astype(np.int64) - reach

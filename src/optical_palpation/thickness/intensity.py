@@ -125,7 +125,7 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
 
 
 def point_spread(read: Read, ny: int) -> tuple[float, float]:
-    """Standard deviations (z, x), pixels, of the intensity point-spread function.
+    """Measure the standard deviations (z, x), pixels, of the intensity point-spread function.
 
     The speckle of many independent scatterers has the intensity correlation exp(-d^2 / 4 s^2)
     for a Gaussian point-spread function of standard deviation s, and so has the image of a single

@@ -7,6 +7,7 @@ by the point-spread function. Estimate and average are repeated until the surfac
 """
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numba import njit, prange
@@ -48,11 +49,11 @@ def _flatten(band, centre, weight, profile, share):
         for x in range(nx):
             for k in range(nk):
                 at = centre[y, x] + k - half
-                lower = int(math.floor(at))
+                lower = math.floor(at)
                 part = np.float32(at - lower)
                 value = np.float32(0.0)
                 count = np.float32(0.0)
-                if 0 <= lower and lower + 1 < band.shape[2]:
+                if lower >= 0 and lower + 1 < band.shape[2]:
                     a, b = band[y, x, lower], band[y, x, lower + 1]
                     if a >= 0 and b >= 0:
                         value = weight[y, x] * ((1 - part) * a + part * b)
@@ -200,7 +201,7 @@ def refine(
         depth = _smooth(depth, lateral)
         blur = _blur(depth, cell, sigma)
         typical = float(np.median(blur))
-        half = max(int(round(span * typical)), 8)
+        half = max(round(span * typical), 8)
         profile, share = np.empty((2, *start.shape, 2 * half + 1), np.float32)
         _flatten(band, depth - first, weight, profile, share)
         mean = averaged(profile, share, lateral)
@@ -208,11 +209,9 @@ def refine(
             shift, quality = _step_shift(mean, sigma, blur, reach * typical)
         else:
             shift, quality = np.zeros((2, *start.shape))
-            wide = max(int(round(4.0 * sigma)), 2)
+            wide = max(round(4.0 * sigma), 2)
             kernel = np.exp(-(np.arange(-wide, wide + 1) ** 2) / (4.0 * sigma**2))
-            _fit_line(
-                mean, kernel, min(int(round(reach * typical)), half - wide - 1), shift, quality
-            )
+            _fit_line(mean, kernel, min(round(reach * typical), half - wide - 1), shift, quality)
         depth = depth + shift
     return depth, quality
 
@@ -267,8 +266,8 @@ def _blur(
 def _decay(mean: NDArray[np.float32]) -> float:
     """Attenuation below the surface, per pixel: a median over all profiles."""
     half = mean.shape[2] // 2
-    cuts = [half + int(round(share * half)) for share in (0.36, 0.66, 0.96)]
-    near, far = (np.mean(mean[..., a:b], axis=-1) for a, b in zip(cuts, cuts[1:], strict=False))
+    cuts = [half + round(share * half) for share in (0.36, 0.66, 0.96)]
+    near, far = (np.mean(mean[..., a:b], axis=-1) for a, b in pairwise(cuts))
     good = (near > 0) & (far > 0)
     ratio = np.median(near[good] / far[good]) if np.any(good) else 1.0
     return max(float(np.log(ratio)) / (0.5 * (cuts[2] - cuts[0])), 0.0)

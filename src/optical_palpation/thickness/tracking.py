@@ -6,15 +6,15 @@ four lateral directions (semi-global matching: Hirschmueller, IEEE Trans. Patter
 Intell. 30:328, 2008). `refinement` finishes the job at full resolution.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.interpolate import make_interp_spline
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from .intensity import Read
 
@@ -121,7 +121,7 @@ def _mean_over(a: NDArray, first: int, last: int) -> NDArray:
 
 def _rise(log: NDArray[np.float32], sigma: float, inside: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Evidence for a step from dark to bright that lasts: lines are opened away beforehand."""
-    above, below, line = (int(round(n * max(sigma, 1.0))) for n in (6.0, 16.0, 10.0))
+    above, below, line = (round(n * max(sigma, 1.0)) for n in (6.0, 16.0, 10.0))
     no_data = np.isnan(log)
     filled = np.where(no_data, np.nanmin(log), log)
     opened = maximum_filter1d(minimum_filter1d(filled, line, axis=-1), line, axis=-1)
@@ -140,7 +140,7 @@ def _rise(log: NDArray[np.float32], sigma: float, inside: NDArray[np.bool_]) -> 
 
 def _line(log: NDArray[np.float32], sigma: float, inside: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Evidence for a bright line between darker flanks."""
-    near, far, half = (max(int(round(n * sigma)), k) for n, k in ((4.0, 3), (9.0, 5), (1.0, 1)))
+    near, far, half = (max(round(n * sigma), k) for n, k in ((4.0, 3), (9.0, 5), (1.0, 1)))
     filled = np.where(np.isnan(log), np.nanmin(log), log)
     centre = _mean_over(filled, -half, half)
     flank = np.maximum(_mean_over(filled, -far, -near), _mean_over(filled, near, far))
@@ -191,7 +191,7 @@ def track(
     spacing: tuple[float, float, float],
     first: NDArray[np.float64],
     last: NDArray[np.float64],
-    anchors: list[tuple[float, float, float]] = [],
+    anchors: Sequence[tuple[float, float, float]] = (),
     excluded: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
     """Depth (pixels, at full lateral resolution) of the surface of least cost.
@@ -240,7 +240,7 @@ def track(
 
 def _anchor(
     cost: NDArray[np.float32],
-    off: NDArray[np.float64],
+    off: NDArray[np.floating],
     distances: list[NDArray[np.float64]],
     steps: list[float],
     sigma: float,
