@@ -1,1 +1,5 @@
-"""Computational optical palpation."""
+"""Computational optical palpation: maps of tactile stress from the thickness of a soft layer.
+
+The public names live in the subpackages: ``volume``, ``thickness``, ``material``, ``palpation``,
+``friction``, ``analysis`` and ``present``; errors in ``errors``.
+"""

@@ -161,7 +161,7 @@ def stress(
     if thickness_is_map:
         initial = read(Path(initial_thickness), initial_variable)["thickness"]
 
-    if method is Method.ALGEBRAIC:
+    if window_friction is None or sample_friction is None or sizes is None:
         result = _algebraic_result(loaded, initial, material)
     else:
         from optical_palpation.palpation import computational_stress

@@ -1,1 +1,1 @@
-
+"""Virtual experiments: layers and samples made by formulas, and OCT of them."""

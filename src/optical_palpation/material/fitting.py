@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student_t
 
-from optical_palpation.regression import parameter_covariance
 from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.material.laws import MooneyRivlin
 from optical_palpation.material.uniaxial import UniaxialTest
+from optical_palpation.regression import parameter_covariance
 
 Array = NDArray[np.float64]
 LawName = Literal["mooney-rivlin", "neo-hookean", "yeoh", "ogden"]

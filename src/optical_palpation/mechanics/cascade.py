@@ -8,7 +8,7 @@ together, and the last load step is repeated there from the coarse solution.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,10 @@ Array = NDArray[np.float64]
 
 #: Elements up to which a grid is the start of the cascade.
 _COARSEST = 2000
+#: Factor by which friction is softened while a solution changes grids.
+_CHANGE_OF_GRID = 20.0
+#: Newton iterations after which the exact change of grids gives way to the robust one.
+_PATIENCE = 14
 
 
 @dataclass
@@ -120,26 +124,26 @@ def solve(
         report = None
         if on_iteration:
 
-            def report(load, iteration, now, krylov, level=level):  # noqa: ANN001, ANN202
+            def report(load, iteration, now, krylov, level=level):
                 on_iteration(level, load, iteration, now, krylov)
 
         elements = level.grid.n_elements
         if state is not None and previous is not None:
-            state = prolong(state, levels[n + 1], level)
-            previous = prolong(previous, levels[n + 1], level)
-            state.slip, state.anchor = previous.slip.copy(), previous.anchor.copy()
-            finish = None
-            if report:
-
-                def finish(iteration, now, krylov, report=report):  # noqa: ANN001, ANN202
-                    report(1.0, iteration, now, krylov)
-
-            try:
-                iterations = equilibrate(level, state, linear, tolerances, finish)
-                record.append((elements, 1.0, iterations))
+            refined = None
+            for soften in (True, False):
+                limit = replace(tolerances, iterations=_PATIENCE) if soften else tolerances
+                try:
+                    refined = _refine(
+                        state, previous, levels[n + 1], level, linear, limit, report, soften
+                    )
+                    break
+                except NotConverged:
+                    continue
+            if refined is not None:
+                state, previous, counts = refined
+                record += [(elements, load, count) for load, count in counts]
                 continue
-            except NotConverged:
-                pass  # the coarse solution is too far away: follow the load on this grid
+            # the coarse solution is too far away: follow the load on this grid
         state, previous, path = follow(
             level, linear, tolerances, bound_guess(level), control, report
         )
@@ -147,6 +151,45 @@ def solve(
     assert state is not None
     assert previous is not None
     return Solution(problem, state, previous, record)
+
+
+def _refine(
+    state: LayerState,
+    previous: LayerState,
+    coarse: LayerProblem,
+    fine: LayerProblem,
+    linear: LinearSolver,
+    tolerances: Tolerances,
+    report: Callable[[float, int, Balance, int], None] | None,
+    soften: bool,
+) -> tuple[LayerState, LayerState, list[tuple[float, int]]]:
+    """Repeat the last load step of ``coarse``, from ``previous`` to ``state``, on ``fine``.
+
+    With ``soften`` the previous state is first brought into equilibrium on the fine grid; without,
+    the change of grids counts as slip, which is more robust and less exact.
+    """
+
+    def reach(problem: LayerProblem, target: LayerState) -> tuple[float, int]:
+        def forward(iteration: int, now: Balance, krylov: int) -> None:
+            if report:
+                report(target.load, iteration, now, krylov)
+
+        return target.load, equilibrate(problem, target, linear, tolerances, forward)
+
+    state, previous = prolong(state, coarse, fine), prolong(previous, coarse, fine)
+    step = state.u - previous.u, state.p - previous.p
+    counts = []
+    if soften and previous.load > 0:
+        # The layer moves by a few micrometres from one grid to the next. That is no slip: the
+        # grids change under a friction that hardly feels it, and the memory is laid anew.
+        counts.append(
+            reach(replace(fine, slip_length=_CHANGE_OF_GRID * fine.slip_length), previous)
+        )
+        previous.anchor = np.stack([previous.u[:2, 0], previous.u[:2, -1]])
+        state.u, state.p = previous.u + step[0], previous.p + step[1]
+    state.slip, state.anchor = previous.slip.copy(), previous.anchor.copy()
+    counts.append(reach(fine, state))
+    return state, previous, counts
 
 
 def make_solver(problem: LayerProblem, name: str) -> LinearSolver:

@@ -1,8 +1,8 @@
 """Unilateral contact and Coulomb friction at the window and at the imprint.
 
-Each surface node has a vertical penetration phi of a rigid surface, -z at the window and z - h(x, y)
-at the imprint, and a vertical contact force N, the multiplier of phi <= 0. Complementarity of the
-two is written as one smooth equation per node,
+Each surface node has a vertical penetration phi of a rigid surface, -z at the window and
+z - h(x, y) at the imprint, and a vertical contact force N, the multiplier of phi <= 0.
+Complementarity of the two is written as one smooth equation per node,
 
     psi = N - S(N + c phi) = 0,    S(t) = (t + sqrt(t^2 + 4 eps^2)) / 2,
 
@@ -33,7 +33,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
+from .problem import SAMPLE, LayerProblem, LayerState
 
 Array = NDArray[np.float64]
 
@@ -48,8 +48,8 @@ _RIGID = 1e3
 class ContactLinearisation:
     """Everything the Newton system needs from both contact surfaces.
 
-    All arrays end in ``(ny + 1, nx + 1)`` and begin with the face. ``row`` and ``column`` (x, y) are
-    the factors with which the vertical equation and the vertical displacement enter the lateral
+    All arrays end in ``(ny + 1, nx + 1)`` and begin with the face. ``row`` and ``column`` (x, y)
+    are the factors with which the vertical equation and the vertical displacement enter the lateral
     ones; ``block`` (xx, xy, yy) the lateral stiffness of friction; ``turning`` (ny + 1, nx + 1, 9,
     2, 3; imprint only) the lateral stiffness by which contact forces turn with the element faces,
     over the neighbours 3 (dy + 1) + (dx + 1); ``spring`` the stiffness of the
@@ -210,7 +210,7 @@ def remember_slip(problem: LayerProblem, state: LayerState) -> None:
 
 
 def friction_fraction(problem: LayerProblem, state: LayerState) -> Array:
-    """Share of the friction bound in use at each surface node, (2, ny + 1, nx + 1); 1 if no friction."""
+    """Share of the friction bound in use at each node, (2, ny + 1, nx + 1); 1 without friction."""
     lateral = np.stack([state.u[:2, 0], state.u[:2, -1]])
     w2 = ((state.slip + (lateral - state.anchor) / problem.slip_length) ** 2).sum(1)
     used = np.sqrt(w2 / (1 + w2))

@@ -92,7 +92,7 @@ class MultigridSolver:
         return system.prescribed + u, p.astype(float), iterations
 
 
-def fgmres(operator, precondition, rhs: NDArray, tolerance: float, longest: int):  # noqa: ANN001, ANN201
+def fgmres(operator, precondition, rhs: NDArray, tolerance: float, longest: int):
     """Flexible GMRES from a zero guess, without restart.
 
     Returns the solution and the number of iterations, each one product and one preconditioning.

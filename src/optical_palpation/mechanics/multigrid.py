@@ -122,7 +122,7 @@ class Level:
 
 
 class Hierarchy:
-    """All levels for one grid; ``update`` takes a new fine stencil, ``cycle`` applies one V-cycle."""
+    """All levels for one grid: ``update`` takes a new fine stencil, ``cycle`` does a V-cycle."""
 
     def __init__(
         self, positions: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
@@ -138,7 +138,7 @@ class Hierarchy:
                 self.levels.append(Level(shape, ()))  # type: ignore[arg-type]
                 break
             chosen = [
-                coarse_nodes(len(p) - 1, s < 1.6 * min(divisible))
+                coarse_nodes(len(p) - 1, bool(s < 1.6 * min(divisible)))
                 for p, s in zip(positions, sizes, strict=True)
             ]
             transfers = tuple(Transfer.build(p, n) for p, n in zip(positions, chosen, strict=True))
@@ -160,7 +160,7 @@ class Hierarchy:
                 coarser.stencil,
                 *(a for t in (tz, ty, tx) for a in (t.low, t.first, t.table)),
             )
-            free = free[np.ix_(range(3), tz.nodes, ty.nodes, tx.nodes)]
+            free = free[np.ix_(np.arange(3), tz.nodes, ty.nodes, tx.nodes)]
             st.constrain(coarser.stencil, free)
         coarsest = self.levels[-1]
         self._free = free

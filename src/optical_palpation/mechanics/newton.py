@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ class LinearSolver(Protocol):
     """What Newton's method needs of a linear solver."""
 
     gamma: float
-    dtype: type[np.floating]
+    dtype: ClassVar[type[np.floating]]
 
     def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Array, Array, int]:
         """Return the step (du in contact coordinates, dp) and the number of iterations."""
@@ -167,7 +167,7 @@ def equilibrate(
         change = system.contact_forces(now.force, du, dp) - state.normal_force
         trial = state.copy()
         best = None
-        for fraction in (1.0, 0.5, 0.25, 0.125):
+        for fraction in (1.0, 0.5, 0.25, 0.125, 0.06, 0.03):
             trial.u = state.u + fraction * step
             trial.p = state.p + fraction * dp
             trial.normal_force = state.normal_force + fraction * change

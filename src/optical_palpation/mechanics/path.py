@@ -81,14 +81,13 @@ def follow(
             )
         else:
             trial.normal_force[:] = load * bound_guess
+
+        def report(iteration: int, now: Balance, krylov: int, load: float = load) -> None:
+            if on_iteration:
+                on_iteration(load, iteration, now, krylov)
+
         try:
-            iterations = equilibrate(
-                problem,
-                trial,
-                solver,
-                tolerances,
-                (lambda n, b, k, load=load: on_iteration(load, n, b, k)) if on_iteration else None,
-            )
+            iterations = equilibrate(problem, trial, solver, tolerances, report)
         except NotConverged as failure:
             reason = str(failure)
             step = 0.5 * (load - state.load)

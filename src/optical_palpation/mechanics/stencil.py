@@ -99,7 +99,7 @@ def scale_by_blocks(inverse, b, d, gain):
 
 @nb.njit(parallel=True, cache=True)
 def invert_blocks(stencil, inverse):
-    """Invert the diagonal blocks; constrained unknowns (zero diagonal) get zero rows and columns."""
+    """Invert the diagonal blocks; constrained unknowns (zero diagonal) get zero rows, columns."""
     nz1, ny1, _, _, nx1 = stencil.shape
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
@@ -170,7 +170,7 @@ def prolong_add(coarse, fine, lo_z, w_z, lo_y, w_y, lo_x, w_x):
 
 @nb.njit(parallel=True, cache=True)
 def restrict(fine, coarse, first_z, p_z, first_y, p_y, first_x, p_x):
-    """Transpose of the interpolation: coarse node N sums fine nodes first[N] + s, weight p[N, s]."""
+    """Transpose of the interpolation: coarse node N sums fine nodes first[N] + s by p[N, s]."""
     mz1, my1, mx1 = len(first_z), len(first_y), len(first_x)
     width = fine.shape[3]
     for row in nb.prange(mz1 * my1):

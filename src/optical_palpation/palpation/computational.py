@@ -1,4 +1,4 @@
-"""The computational method (sections 2 and 3 of the paper): stress from the deformation of the layer.
+"""The computational method (sections 2 and 3 of the paper): stress from the layer's deformation.
 
 The layer is meshed over its unloaded shape and pressed between the window and a rigid imprint that
 carries the measured loaded thickness, as the paper's window and sample contact bodies do.
@@ -139,7 +139,7 @@ def computational_stress(
         progress(Progress("preparing", 0.0, 0, "the first run compiles for up to a minute"))
     before = nb.get_num_threads()
     if threads:
-        nb.set_num_threads(min(threads, nb.config.NUMBA_NUM_THREADS))
+        nb.set_num_threads(min(threads, before))
     try:
         solution = solve(
             problem,
@@ -178,7 +178,10 @@ def computational_stress(
         "no_contact_share": algebraic.attrs["no_contact_share"],
         "newton_iterations": solution.newton_iterations,
         "convergence": json.dumps(
-            [{"elements": e, "load": round(l, 4), "newton": n} for e, l, n in solution.record]
+            [
+                {"elements": elements, "load": round(load, 4), "newton": count}
+                for elements, load, count in solution.record
+            ]
         ),
         "volume_change_percent": 100 * float(_volume_change(solution)),
     }
