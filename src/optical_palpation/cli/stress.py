@@ -190,6 +190,7 @@ def stress(
         "picture": present.write_panel,
         "ParaView file": present.write_vtk,
         "profiles": present.write_profiles,
+        "deck": lambda solved, path: present.write_deck(solved.problem, path),
     }
     for kind, path in wanted.items():
         writers[kind](result, path)
