@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from skimage.feature import canny
 
 from .intensity import Read
 from .tracking import Edge
@@ -25,6 +24,8 @@ def canny_surface(
 
     The edge has the sign of `edge`; of a line, its middle between rise and fall is taken.
     """
+    from skimage.feature import canny  # slow to import
+
     depth = np.full(shape[1:], np.nan)
     width = max(SMOOTHING * sigma, 1.0)
     for y in range(shape[1]):

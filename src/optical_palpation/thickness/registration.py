@@ -4,7 +4,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.ndimage import shift as shifted
-from skimage.registration import phase_cross_correlation
 
 from optical_palpation.errors import InputError
 
@@ -33,6 +32,8 @@ def lateral_shift(reference: xr.DataArray, moving: xr.DataArray) -> tuple[float,
     InputError
         If the grids differ, or a map has no features to register by.
     """
+    from skimage.registration import phase_cross_correlation  # slow to import
+
     if reference.dims != ("y", "x") or moving.dims != ("y", "x"):
         raise InputError("lateral_shift: both maps must be on (y, x)")
     if reference.shape != moving.shape or min(reference.shape) < 8:
