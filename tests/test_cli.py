@@ -12,9 +12,9 @@ import xarray as xr
 
 from optical_palpation.cli import main
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.palpation.algebraic import algebraic_stress
-from optical_palpation.palpation.result import ContactState
+from optical_palpation.palpation import ContactState, algebraic_stress, computational_stress
 from optical_palpation.present import read_result
+from optical_palpation.thickness import clean_thickness, read_thickness_map
 
 MATERIAL = ["--initial-thickness", "0.5", "--c10", "2.23", "--c01", "0.703"]
 FRAME = ["--field-of-view", "2", "1.5"]
@@ -58,6 +58,89 @@ def test_algebraic_method_end_to_end(here, run):
     assert maps["axial_stress"].attrs["units"] == "kPa"
     np.testing.assert_allclose(maps["x"], np.linspace(0, 2, 17))
     assert f"mean {float(expected.mean()):.3f} kPa" in out
+
+
+def test_computational_method_end_to_end(here, run):
+    files = ["--output", "o.nc", "--plot", "o.png", "--profiles", "o.csv", "--vtk", "o.vts"]
+    files += ["--deck", "o.inp"]
+    status, out, err = run("stress", "map.npy", *FRAME, *COMPUTATIONAL, *files, "--threads", "1")
+    assert status == 0
+    assert "load 100%" in err
+    for name in files[1::2]:
+        assert (here / name).stat().st_size > 1000
+        assert name in out
+    with xr.open_dataset("o.nc", engine="h5netcdf") as maps:
+        expected = {"axial_stress", "contact_pressure", "traction_x", "traction_y", "traction_z"}
+        expected |= {"contact_state", "loaded_thickness", "algebraic_axial_stress"}
+        assert expected <= set(maps.data_vars)
+        assert {maps[name].dims for name in expected} == {("y", "x")}
+        assert maps.attrs["window_force_mN"] == pytest.approx(maps.attrs["sample_force_mN"], 1e-4)
+        assert f"window {maps.attrs['window_force_mN']:.1f} mN" in out
+        assert maps.attrs["input"] == "map.npy"
+        sample_force = maps.attrs["sample_force_mN"]
+    # Traction times deformed area of the sample side, quadrilateral by quadrilateral.
+    layer = read_result("o.nc").layer
+    corners = layer["position"].values[-1]
+    diagonals = corners[1:, 1:] - corners[:-1, :-1], corners[1:, :-1] - corners[:-1, 1:]
+    area = np.linalg.norm(np.cross(*diagonals), axis=-1) / 2
+    traction = layer["sample_traction"].sel(component="z").values
+    mean = (traction[1:, 1:] + traction[:-1, 1:] + traction[1:, :-1] + traction[:-1, :-1]) / 4
+    assert -(mean * area).sum() == pytest.approx(sample_force, rel=0.02)
+
+    loaded = read_thickness_map("map.npy", field_of_view=(2, 1.5))
+    again = computational_stress(
+        clean_thickness(loaded)["thickness"],
+        0.5,
+        MooneyRivlin(2.23, 0.703),
+        window_friction=0.15,
+        sample_friction=0.05,
+        element_size=0.25,
+        threads=1,
+    )
+    np.testing.assert_allclose(
+        read_result("o.nc").maps["axial_stress"], again.maps["axial_stress"], rtol=1e-9
+    )
+
+
+def test_the_algebraic_method_ignores_what_only_the_other_one_needs(here, run):
+    status, _, _ = run(
+        "stress", "map.npy", *FRAME, *COMPUTATIONAL, "--output", "o.nc", "--method", "algebraic"
+    )
+    assert status == 0
+    assert "contact_pressure" not in read_result("o.nc").maps
+
+
+def test_filled_pixels_are_marked_on_the_nodes_of_the_elements(here, run):
+    values = np.load("map.npy")
+    values[4:7, 6:9] = np.nan
+    np.save("holes.npy", values)
+    status, _, _ = run("stress", "holes.npy", *FRAME, *COMPUTATIONAL, "--output", "o.nc")
+    assert status == 0
+    filled = read_result("o.nc").maps["filled"]
+    assert filled.dtype == bool
+    # The hole spans x 0.75 to 1 mm, y 0.5 to 0.75 mm; nodes lie 0.25 mm apart.
+    expected = (filled["x"] >= 0.74) & (filled["x"] <= 1.01)
+    expected = expected & (filled["y"] >= 0.49) & (filled["y"] <= 0.76)
+    xr.testing.assert_equal(filled, expected.transpose("y", "x").drop_attrs())
+
+
+def test_demo(here, run):
+    status, out, _ = run("demo", "--output", "made/here", "--element-size", "0.5,0.5,0.25")
+    assert status == 0
+    names = {"loaded-thickness.nc", "stress.nc", "stress.png", "layer.vts", "profiles.csv"}
+    assert {path.name for path in (here / "made/here").iterdir()} == names
+    maps = read_result("made/here/stress.nc").maps
+    assert f"window {maps.attrs['window_force_mN']:.1f} mN" in out
+    # The command that it shows does what it did.
+    command = out[out.index("stress made") : out.index("--output")].replace("\\\n", "").split()
+    assert run(*command, "--output", "again.nc")[0] == 0
+    xr.testing.assert_allclose(read_result("again.nc").maps, maps, rtol=1e-6)
+
+
+def test_demo_where_no_folder_can_be_made(here, run):
+    status, _, err = run("demo", "--output", "map.npy")
+    assert status == 2
+    assert "map.npy" in err
 
 
 def test_missing_pixels_and_spikes_are_filled_and_reported(here, run):
@@ -219,7 +302,7 @@ def test_element_size_takes_one_value_or_three(
     def record(*arguments, element_size, **options):
         raise ConvergenceError(f"called with {element_size}")
 
-    monkeypatch.setattr(palpation, "computational_stress", record, raising=False)
+    monkeypatch.setattr(palpation, "computational_stress", record)
     option = ["--element-size", *given]
     if form == "equals":
         option = [f"--element-size={given[0]}", *given[1:]]

@@ -27,8 +27,15 @@ def test_a_log_gets_a_line_per_stage_and_per_tenth_of_the_load():
     assert lines[0].startswith("compiling kernels, once per machine")
     assert 11 <= len(lines) <= 14
     assert "load 100%, 200 Newton iterations" in lines[-1]
-    assert "s left" in lines[5]
+    assert "s left for this stage" in lines[5]
     assert "left" not in lines[0]
+
+
+def test_the_time_left_is_that_of_the_stage():
+    """A finer grid starts at the load that the coarse one has reached: no time went into that."""
+    lines = show([("coarse", 0.0, 0), ("coarse", 0.5, 5), ("fine", 0.8, 6)], force_terminal=False)
+    assert "left" in lines.splitlines()[1]
+    assert "left" not in lines.splitlines()[2]
 
 
 def test_a_terminal_gets_one_line_that_is_kept_up_to_date():

@@ -82,6 +82,7 @@ def run_shell(block, folder):
     assert done.returncode == 0, f"{block.place} exits with {done.returncode}:\n{done.stderr}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_block_runs(page, tmp_path, monkeypatch):
     folder = tmp_path / "work"

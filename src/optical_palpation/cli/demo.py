@@ -21,6 +21,11 @@ optical-palpation stress {map} --initial-thickness 0.5 --c10 2.23 --c01 0.703 \\
   --output {result} --plot {picture} --vtk {vtk} --profiles {profiles}
 """
 
+_CLOSING = """
+Open the picture first. The algebraic method takes every pixel for a uniaxial test of its own; the
+computational one knows that the layer is incompressible and held by friction, so that it bears more
+where it has far to flow."""
+
 
 def demo(
     output: Annotated[Path, typer.Option(help="Folder for the results; made if need be.")] = Path(
@@ -59,7 +64,4 @@ def demo(
         vtk=files["vtk"],
         profiles=files["profiles"],
     )
-    print(
-        "\nOpen the picture first: the computational map shows the relief sharper than the "
-        "algebraic one,\nwhich takes every pixel for a uniaxial test of its own."
-    )
+    print(_CLOSING)

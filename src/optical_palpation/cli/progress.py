@@ -27,6 +27,7 @@ class ProgressDisplay:
         self._console = console or Console(stderr=True, quiet=quiet, highlight=False)
         self._started = self._last_time = time.monotonic()
         self._last: tuple[str, float] = ("", -1.0)
+        self._stage: tuple[str, float, float] = ("", 0.0, self._started)  # name, load, time
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -54,7 +55,7 @@ class ProgressDisplay:
     def __call__(self, report: Report) -> None:
         """Show one report."""
         description = f"{report.stage}: {report.message}" if report.message else report.stage
-        left = self._time_left(report.load)
+        left = self._time_left(report)
         if self._console.is_terminal:
             self._bar.update(
                 self._task,
@@ -82,11 +83,14 @@ class ProgressDisplay:
             markup=False,
         )
 
-    def _time_left(self, load: float) -> str:
-        """Return the time left if every part of the load took as long as those so far."""
-        if not 0 < load < 1:
+    def _time_left(self, report: Report) -> str:
+        """Return the time left of this stage if load goes on growing as it has done in it."""
+        now = time.monotonic()
+        if report.stage != self._stage[0]:
+            self._stage = (report.stage, report.load, now)
+        _, load, start = self._stage
+        if not load < report.load < 1:
             return ""
-        seconds = (time.monotonic() - self._started) * (1 - load) / load
-        return (
-            f"about {seconds:.0f} s left" if seconds < 100 else f"about {seconds / 60:.0f} min left"
-        )
+        seconds = (now - start) * (1 - report.load) / (report.load - load)
+        text = f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+        return f"about {text} left for this stage"

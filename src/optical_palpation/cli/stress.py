@@ -161,9 +161,12 @@ def stress(
     if thickness_is_map:
         initial = read(Path(initial_thickness), initial_variable)["thickness"]
 
-    if window_friction is None or sample_friction is None or sizes is None:
+    if method is Method.ALGEBRAIC:
         result = _algebraic_result(loaded, initial, material)
     else:
+        assert window_friction is not None  # refused above, as are the other two
+        assert sample_friction is not None
+        assert sizes is not None
         from optical_palpation.palpation import computational_stress
 
         with ProgressDisplay(quiet) as progress:
@@ -179,7 +182,9 @@ def stress(
                 threads=threads,
                 progress=progress,
             )
-    result.maps["filled"] = cleaned["filled"]
+    # The maps of the computational method lie on the nodes of its elements, not on the pixels.
+    here = {axis: result.maps[axis] for axis in "yx"}
+    result.maps["filled"] = cleaned["filled"].reindex(here, method="nearest")
     result.maps.attrs |= cleaned.attrs
     if thickness_is_map:
         result.maps.attrs["initial_thickness_input"] = initial.attrs["source"]

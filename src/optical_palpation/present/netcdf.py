@@ -55,8 +55,8 @@ def write_result(result: StressResult, path: str | Path) -> None:
     OutputError
         The file cannot be written.
     """
-    maps = _described(result.maps).assign_attrs(Conventions="CF-1.11")
-    maps.attrs.update(provenance(result.maps))
+    maps = _described(result.maps)
+    maps.attrs = {"Conventions": "CF-1.11", **provenance(result.maps)}
     groups, encoding = {"/": maps}, {"/": _compression(maps)}
     if result.layer is not None:
         layer = _described(result.layer)

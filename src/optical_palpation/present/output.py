@@ -126,10 +126,11 @@ def provenance(maps: xr.Dataset) -> dict[str, Any]:
         "spacing_x_mm": float((x[-1] - x[0]) / max(x.size - 1, 1)),
         "spacing_y_mm": float((y[-1] - y[0]) / max(y.size - 1, 1)),
     }
-    for name, value in maps["loaded_thickness"].attrs.items():
-        if name.startswith("source"):  # of the map: file name, hash, variable, unit
-            attributes[name.replace("source", "input")] = _plain(value)
-    attributes.update({name: _plain(value) for name, value in maps.attrs.items()})
+    origin = {k: v for k, v in maps["loaded_thickness"].attrs.items() if k.startswith("source")}
+    for name, value in (origin | maps.attrs).items():
+        # File name, hash, variable and unit of the map. In a NetCDF file "source" means otherwise.
+        name = name.replace("source", "input") if name.startswith("source") else name
+        attributes[name] = _plain(value)
     return attributes
 
 

@@ -24,6 +24,15 @@ _STATE_COLOURS = {
     ContactState.STICK: "#0072B2",
 }
 _ALGEBRAIC, _COMPUTATIONAL = "#D55E00", "#0072B2"
+# Legends stand below the axes, where they hide nothing.
+_BELOW: dict[str, Any] = {
+    "loc": "upper center",
+    "bbox_to_anchor": (0.5, -0.16),
+    "ncols": 3,
+    "frameon": False,
+    "columnspacing": 1,
+    "handlelength": 1.2,
+}
 # Brighter means more compressed, as in the published maps: stress is negative there.
 _STRESS_MAP, _THICKNESS_MAP = "viridis_r", "cividis"
 
@@ -52,6 +61,7 @@ def write_panel(result: StressResult, path: str | Path) -> None:
 def _draw(result: StressResult) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     maps = on_layer(result.maps)
     computational = "contact_pressure" in maps  # the algebraic method alone has none
@@ -60,7 +70,7 @@ def _draw(result: StressResult) -> Figure:
     low, high = np.nanpercentile(both, [1, 99])
     stress = {"cmap": _STRESS_MAP, "vmin": low, "vmax": high}
 
-    figure = Figure(figsize=(13.5, 8.2), layout="constrained")
+    figure = Figure(figsize=(13.5, 8.2), layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.1))
     FigureCanvasAgg(figure)
     axes = figure.subplot_mosaic([list("TTAACC"), list("SSXXYY" if computational else "XXXYYY")])
     _show(figure, axes["T"], maps["loaded_thickness"], "Loaded thickness (mm)", cmap=_THICKNESS_MAP)
@@ -92,15 +102,7 @@ def _show_contact(axes: Axes, state: xr.DataArray) -> None:
         for s, colour in _STATE_COLOURS.items()
         if (share := float(np.mean(state.values == s))) > 0
     ]
-    axes.legend(
-        handles=handles,
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.16),
-        ncols=3,
-        frameon=False,
-        columnspacing=1,
-        handlelength=1.2,
-    )
+    axes.legend(handles=handles, **_BELOW)
 
 
 def _draw_map(axes: Axes, field: xr.DataArray, title: str, **colours: Any) -> QuadMesh:
@@ -131,7 +133,7 @@ def _plot_profile(
         ylabel="axial stress (kPa)",
     )
     axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
+    axes.legend(**_BELOW)
 
 
 def _title(maps: xr.Dataset) -> str:
