@@ -284,6 +284,10 @@ def test_summary_tells_forces_stress_and_contact():
     assert f"{float(maps['axial_stress'].mean()):.3f} kPa" in text
     assert f"{float(maps['axial_stress'].min()):.3f} kPa" in text
     assert "open 18.2%" in text  # 2 of 11 columns
+    assert "WARNING" not in text
+    result = example()
+    result.maps.attrs["volume_change_percent"] = -14.2
+    assert "changed by -14.2 %" in summarise(result)
 
 
 @pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)

@@ -7,6 +7,9 @@ import numpy as np
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.profiles import on_layer
 
+# Percent; an incompressible layer that is free to spread stays far below.
+_NOTABLE_VOLUME_CHANGE = 1.0
+
 
 def summarise(result: StressResult) -> str:
     """Return forces, stress and contact of a result as readable lines.
@@ -42,6 +45,12 @@ def summarise(result: StressResult) -> str:
     lines.append("contact with the sample: " + ", ".join(shares))
     if open_share := maps["algebraic_axial_stress"].attrs.get("no_contact_share"):
         lines.append(f"not thinner than unloaded, so taken as open: {open_share:.2%} of the map")
+    change = maps.attrs.get("volume_change_percent", 0.0)
+    if abs(change) > _NOTABLE_VOLUME_CHANGE:
+        lines.append(
+            f"WARNING: the volume of the layer changed by {change:.1f} %, which makes stress of its "
+            "own: with roller edges a map that is thinner all over leaves the layer nowhere to go"
+        )
     if "filled_share" in maps.attrs:
         lines.append(
             f"filled pixels: {maps.attrs['filled_share']:.2%} (missing "
