@@ -48,7 +48,7 @@ def summarise(result: StressResult) -> str:
     change = maps.attrs.get("volume_change_percent", 0.0)
     if abs(change) > _NOTABLE_VOLUME_CHANGE:
         lines.append(
-            f"WARNING: the volume of the layer changed by {change:.1f} %, and stress comes of that: "
+            f"WARNING: the volume of the layer changed by {change:.1f} %, which causes stress: "
             "between roller edges a layer that is thinner all over has nowhere to go"
         )
     if "filled_share" in maps.attrs:
