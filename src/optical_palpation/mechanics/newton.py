@@ -167,7 +167,7 @@ def equilibrate(
         change = system.contact_forces(now.force, du, dp) - state.normal_force
         trial = state.copy()
         best = None
-        for fraction in (1.0, 0.5, 0.25, 0.125, 0.06, 0.03):
+        for fraction in (1.0, 0.5, 0.25, 0.125):
             trial.u = state.u + fraction * step
             trial.p = state.p + fraction * dp
             trial.normal_force = state.normal_force + fraction * change

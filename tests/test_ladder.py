@@ -1,0 +1,415 @@
+"""The verification ladder of the layer solver, from the element to independent codes."""
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.testing import assert_allclose
+from scipy.optimize import brentq
+
+from optical_palpation.errors import ConvergenceError, InputError
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics.cascade import solve
+from optical_palpation.mechanics.contact import area_vectors
+from optical_palpation.mechanics.elements import GRADIENTS, internal_force, tangent_stencil
+from optical_palpation.mechanics.grid import LayerGrid, graded_depths
+from optical_palpation.mechanics.imprint import Imprint
+from optical_palpation.mechanics.newton import Tolerances, balance
+from optical_palpation.mechanics.problem import LayerProblem, LayerState
+from optical_palpation.mechanics.stencil import halo_zeros, interior, multiply
+from optical_palpation.mechanics.system import assemble
+from optical_palpation.palpation import computational_stress
+from optical_palpation.palpation.computational import _algebraic_forces
+
+C10, C01 = 2.23, 0.703
+MU = 2 * (C10 + C01)
+EXACT = Tolerances(force=1e-9, volume=1e-10)
+
+
+def guess(problem: LayerProblem) -> np.ndarray:
+    """Contact forces of a uniform pressure of the shear modulus."""
+    return MU * problem.grid.surface_areas(problem.grid.nodes[:, -1])
+
+
+def compressed(problem: LayerProblem) -> np.ndarray:
+    """Contact forces by the bulk modulus alone."""
+    lost = problem.imprint.unloaded.mean() - problem.imprint.loaded.mean()
+    pressure = problem.bulk_modulus * lost / problem.grid.thickness.mean()
+    return pressure * problem.grid.surface_areas(problem.grid.nodes[:, -1])
+
+
+def algebraic(problem: LayerProblem) -> np.ndarray:
+    """Contact forces by the algebraic method."""
+    return _algebraic_forces(problem, MooneyRivlin(C10, C01))
+
+
+def deformed(seed: int = 0):
+    rng = np.random.default_rng(seed)
+    x, y = np.cumsum(rng.uniform(0.1, 0.3, 6)), np.cumsum(rng.uniform(0.1, 0.3, 5))
+    grid = LayerGrid(x, y, graded_depths(3, 1.3), 0.5 + 0.05 * rng.random((5, 6)))
+    u = 0.02 * rng.standard_normal((3, *grid.node_shape))
+    return rng, grid, u, rng.standard_normal(grid.shape)
+
+
+def forces(grid, u, p):
+    force, volume, volume_ref = np.empty_like(u), np.empty(grid.shape), np.empty(grid.shape)
+    internal_force(
+        grid.nodes, u, p, C10, C01, GRADIENTS, force, volume, volume_ref, np.empty(grid.shape[:2])
+    )
+    return force, volume, volume_ref
+
+
+def energy(grid, u, p):
+    """Mixed energy at fixed pressure, straight from the formula, element by element."""
+    position, total = grid.nodes + u, 0.0
+    for k, j, i in np.ndindex(grid.shape):
+        corner = [(k + (a >> 2), j + (a >> 1) % 2, i + a % 2) for a in range(8)]
+        reference = np.array([grid.nodes[:, *c] for c in corner])
+        current = np.array([position[:, *c] for c in corner])
+        for dn in GRADIENTS:
+            jacobian = reference.T @ dn
+            f = current.T @ dn @ np.linalg.inv(jacobian)
+            big_j, c = np.linalg.det(f), f.T @ f
+            i1 = np.trace(c) * big_j ** (-2 / 3)
+            i2 = 0.5 * (np.trace(c) ** 2 - np.trace(c @ c)) * big_j ** (-4 / 3)
+            w = C10 * (i1 - 3) + C01 * (i2 - 3) + p[k, j, i] * (big_j - 1)
+            total += w * np.linalg.det(jacobian) / 8
+    return total
+
+
+def test_internal_force_is_the_derivative_of_the_energy():
+    rng, grid, u, p = deformed()
+    direction = rng.standard_normal(u.shape)
+    step = 1e-5
+    slope = (energy(grid, u + step * direction, p) - energy(grid, u - step * direction, p)) / (
+        2 * step
+    )
+    assert_allclose((forces(grid, u, p)[0] * direction).sum(), slope, rtol=1e-7)
+
+
+@pytest.mark.parametrize("gamma", [0.0, 50.0])
+def test_tangent_is_the_derivative_of_the_force(gamma):
+    rng, grid, u, p = deformed(1)
+    nz1, ny1, nx1 = grid.node_shape
+    stencil = np.empty((nz1, ny1, 27, 9, nx1))
+    divergence = np.empty((*grid.shape[:2], 24, grid.shape[2]))
+    tangent_stencil(grid.nodes, u, p, C10, C01, gamma, GRADIENTS, stencil, divergence)
+    direction, step = rng.standard_normal(u.shape), 1e-6
+
+    def penalised(u):
+        # the penalty adds gamma (v - v(u0)) / V to the pressure, whose derivative is the same
+        _, volume, volume_ref = forces(grid, u, p)
+        return forces(grid, u, p + gamma * (volume - start) / volume_ref)[0]
+
+    start = forces(grid, u, p)[1]
+    expected = (penalised(u + step * direction) - penalised(u - step * direction)) / (2 * step)
+    x, y = halo_zeros(grid.node_shape, float), halo_zeros(grid.node_shape, float)
+    interior(x)[:] = direction
+    multiply(stencil, x, y)
+    assert_allclose(interior(y), expected, atol=1e-7 * abs(expected).max())
+
+
+def test_area_vectors_are_the_gradient_of_the_volume_beneath():
+    _, grid, u, p = deformed(2)
+    surface = (grid.nodes + u)[:, -1]
+    step, expected = 1e-6, np.empty_like(surface)
+    for index in np.ndindex(surface.shape):
+        volumes = []
+        for sign in (1, -1):
+            moved = u.copy()
+            moved[index[0], -1, index[1], index[2]] += sign * step
+            volumes.append(forces(grid, moved, p)[1].sum())
+        expected[index] = (volumes[0] - volumes[1]) / (2 * step)
+    inner = (slice(None), slice(1, -1), slice(1, -1))  # elsewhere the sides belong to it too
+    assert_allclose(area_vectors(surface)[inner], expected[inner], atol=1e-9)
+
+
+def test_newton_matrix_is_the_derivative_of_the_equations_with_contact_and_friction():
+    rng = np.random.default_rng(1)
+    x, px = np.linspace(0, 1, 6), np.linspace(-0.2, 1.2, 20)
+    xx, yy = np.meshgrid(px, px)
+    loaded = 0.42 + 0.03 * np.cos(5 * xx) * np.cos(4 * yy)
+    problem = LayerProblem(
+        LayerGrid(x, x, graded_depths(2), np.full((6, 6), 0.5)),
+        Imprint(px, px, np.full((20, 20), 0.5), loaded),
+        C10,
+        C01,
+        5e2,
+        (0.3, 0.1),
+    )
+    state = LayerState.unloaded(problem.grid)
+    state.load = 1.0
+    state.u = 0.01 * rng.standard_normal(state.u.shape)
+    state.u[2] = 0.3 * state.u[2] - 0.17 * problem.grid.nodes[2]
+    state.p = -5 + rng.standard_normal(state.p.shape)
+
+    def equations(u):
+        moved = state.copy()
+        moved.u = u
+        now = balance(problem, moved)
+        out = now.force.copy()
+        for face, k in ((0, 0), (1, -1)):
+            out[:2, k] += now.contact.row[face] * now.force[2, k]
+        return out, now
+
+    now = equations(state.u)[1]
+    state.normal_force = np.maximum(0, np.stack([now.force[2, 0], -now.force[2, -1]]))
+    now = equations(state.u)[1]
+    system = assemble(
+        problem, state, now.contact, now.force, now.volume, now.volume_ref, 0.0, np.float64
+    )
+    step = np.where(system.free, rng.standard_normal(state.u.shape), 0.0)
+    cartesian = 1e-7 * system.to_cartesian(step)
+    expected = (equations(state.u + cartesian)[0] - equations(state.u - cartesian)[0]) / 2e-7
+    a, b = halo_zeros(problem.grid.node_shape, float), halo_zeros(problem.grid.node_shape, float)
+    interior(a)[:] = step
+    multiply(system.stencil, a, b)
+    error = abs(interior(b) - expected)
+    carrying = np.stack([now.force[2, 0] > 0, now.force[2, -1] < 0])
+    assert carrying.sum() > 30
+    for face, k in ((0, 0), (1, -1)):
+        assert error[:2, k][:, carrying[face]].max() < 2e-6 * abs(expected[:2, k]).max()
+    assert error[:, 1:-1].max() < 1e-8 * abs(expected).max()
+
+
+def uniaxial_compression(stretch: float, bulk_modulus: float) -> float:
+    """Axial Cauchy stress of the compressible law when the sides are free."""
+
+    def stresses(lateral):
+        big_j = stretch * lateral**2
+        b = np.array([lateral**2, lateral**2, stretch**2]) * big_j ** (-2 / 3)
+        t = 2 * (C10 * b + C01 * (b.sum() * b - b**2))
+        return (t - t.mean()) / big_j + bulk_modulus * (big_j - 1)
+
+    lateral = brentq(lambda s: stresses(s)[0], 0.9, 2.0, xtol=1e-15)
+    return stresses(lateral)[2]
+
+
+@pytest.mark.parametrize("ratio", [20.0, 1e4])
+@pytest.mark.parametrize("edge", [0.6, 3.0])
+def test_homogeneous_compression_to_half_meets_the_closed_form(ratio, edge):
+    x = np.array([0.0, 0.1, 0.3, 0.45, 0.7, 0.85, 1.0]) * edge
+    pixels = np.linspace(-edge, 2 * edge, 9)
+    problem = LayerProblem(
+        LayerGrid(x, 0.7 * x, graded_depths(3, 1.5), np.full((7, 7), 0.5)),
+        Imprint(pixels, pixels, np.full((9, 9), 0.5), np.full((9, 9), 0.25)),
+        C10,
+        C01,
+        ratio * MU,
+        (0.0, 0.0),
+    )
+    solution = solve(problem, guess, solver="direct", tolerances=EXACT)
+    expected = uniaxial_compression(0.5, ratio * MU)
+    surface = (problem.grid.nodes + solution.state.u)[:, -1]
+    stress = -solution.state.normal_force[1] / area_vectors(surface)[2]
+    assert_allclose(stress, expected, rtol=1e-6)
+
+
+def wavy(nodes: int, depth: int, amplitude: float, wavelength: float = 1.0):
+    """Layer of thickness 0.4 between rollers, just pressed, and a sinusoidal imprint."""
+    length, thickness, ratio = 1.5 * wavelength, 0.4, 1e4
+    x = np.linspace(0, length, round(length / wavelength * nodes) + 1)
+    px = np.linspace(0, length, 193)
+    shape = amplitude * np.cos(2 * np.pi * px / wavelength)
+    unloaded = np.full((5, 193), thickness)
+    y = np.linspace(0, 0.5, 5)
+    problem = LayerProblem(
+        LayerGrid(x, y[::2], graded_depths(depth), np.full((3, len(x)), thickness)),
+        Imprint(px, y, unloaded, unloaded - 1e-4 * thickness + np.tile(shape, (5, 1))),
+        C10,
+        C01,
+        ratio * MU,
+        (0.0, 0.0),
+        edges="roller",
+    )
+    uniform = Tolerances(force=1e-8, volume=1e-9)
+    solution = solve(problem, compressed, solver="direct", tolerances=uniform, cascade=False)
+    surface = (problem.grid.nodes + solution.state.u)[:, -1]
+    pressure = solution.state.normal_force[1] / area_vectors(surface)[2]
+    return x, pressure[1], thickness
+
+
+def response(nodes: int, depth: int) -> float:
+    """Amplitude of contact pressure over that of the imprint, kPa / mm, at one wavelength."""
+    k, amplitude = 2 * np.pi, 2e-5
+    amplitudes = []
+    for sign in (1, -1):
+        x, pressure, _ = wavy(nodes, depth, sign * amplitude)
+        weight = np.full(len(x), 1.0)
+        weight[[0, -1]] = 0.5
+        amplitudes.append(
+            2 * (weight * pressure * np.cos(k * x)).sum() / weight.sum() / (sign * amplitude)
+        )
+    # a nodal force is the pressure times the hat function of its node, which weakens a wave
+    hat = np.sinc((x[1] - x[0]) * k / (2 * np.pi)) ** 2
+    return -float(np.mean(amplitudes)) / hat
+
+
+def transfer(k: float, h: float) -> float:
+    """Pressure over displacement of an incompressible layer with frictionless faces.
+
+    With the stream function (A sinh kz + B z cosh kz) sin kx, u_z vanishes at z = 0 with the shear
+    traction, and the shear traction at z = h too; then
+    p / u = 2 mu k (sinh kh cosh kh + kh) / sinh^2 kh.
+    """
+    s, c = np.sinh(k * h), np.cosh(k * h)
+    return 2 * MU * k * (s * c + k * h) / s**2
+
+
+def test_transfer_function_of_a_wavy_imprint_at_second_order():
+    exact = transfer(2 * np.pi, 0.4)
+    errors = [abs(response(n, d) / exact - 1) for n, d in ((6, 3), (12, 6))]
+    assert errors[1] < 0.02
+    assert np.log2(errors[0] / errors[1]) > 1.7
+
+
+def relief(seed: int, n: int = 13, size: float = 1.5):
+    rng = np.random.default_rng(seed)
+    x = np.linspace(0, size, n)
+    xx, yy = np.meshgrid(x, x)
+    bumps = sum(
+        rng.uniform(-1, 1) * np.cos(rng.uniform(1, 5) * xx + rng.uniform(1, 5) * yy + a)
+        for a in range(4)
+    )
+    loaded = 0.42 + 0.02 * bumps
+    return xr.DataArray(loaded, {"y": x, "x": x}, ("y", "x"), attrs={"units": "mm"})
+
+
+SETTINGS = {"window_friction": 0.2, "sample_friction": 0.05, "element_size": 0.125}
+
+
+@pytest.mark.parametrize("edges", ["free", "padded", "roller"])
+def test_forces_at_window_and_imprint_balance(edges):
+    ratio = 20.0 if edges == "roller" else 1e4
+    maps = computational_stress(
+        relief(3), 0.5, MooneyRivlin(C10, C01, ratio), **SETTINGS, edges=edges
+    ).maps
+    assert maps.attrs["force_balance"] < 1e-4
+    assert maps.attrs["window_force_mN"] > 1.0
+
+
+@pytest.mark.parametrize(
+    "turn",
+    [
+        lambda m: m[::-1],
+        lambda m: m[:, ::-1],
+        lambda m: m.T,
+        lambda m: np.rot90(m),
+    ],
+)
+def test_turned_input_gives_turned_output(turn):
+    loaded = relief(4)
+    material = MooneyRivlin(C10, C01)
+    one = computational_stress(loaded, 0.5, material, **SETTINGS, solver="direct").maps
+    other = computational_stress(
+        loaded.copy(data=turn(loaded.values)), 0.5, material, **SETTINGS, solver="direct"
+    ).maps
+    for name in ("axial_stress", "contact_pressure"):
+        expected = turn(one[name].values)
+        assert_allclose(other[name], expected, atol=2e-4 * abs(expected).max())
+
+
+@pytest.mark.parametrize(("ratio", "size"), [(1e4, 0.125), (20.0, (0.11, 0.15, 0.2))])
+def test_multigrid_agrees_with_direct(ratio, size):
+    loaded = relief(5) + 0.05  # partly out of contact
+    material = MooneyRivlin(C10, C01, ratio)
+    settings = {**SETTINGS, "element_size": size}
+    maps = {
+        solver: computational_stress(loaded, 0.5, material, **settings, solver=solver).maps
+        for solver in ("multigrid", "direct")
+    }
+    assert (maps["direct"]["contact_state"] == 0).any()
+    a, b = (maps[s]["contact_pressure"].values for s in ("multigrid", "direct"))
+    assert np.linalg.norm(a - b) < 1e-3 * np.linalg.norm(b)
+
+
+@pytest.fixture
+def sinusoid(shared_data):
+    data = np.load(shared_data / "layers" / "sinusoid_simulated_L1.npz")
+    x = data["x_mm"]
+    return Imprint(x, x, np.full((57, 57), 0.5), data["L1_mm"])
+
+
+def square(imprint, thickness, count, depth, ratio, friction):
+    x = np.linspace(0, 5, count + 1)
+    grid = LayerGrid(x, x, graded_depths(depth), np.full((count + 1, count + 1), thickness))
+    return LayerProblem(grid, imprint, C10, C01, ratio * MU, friction)
+
+
+@pytest.mark.parametrize(("ratio", "reference"), [(1e4, 163.0), (20.0, 123.0)])
+def test_sinusoid_of_independent_codes(sinusoid, ratio, reference):
+    """Trilinear elements of 125 um, load path on the grid itself; see docs/method.md."""
+    problem = square(sinusoid, 0.5, 40, 4, ratio, (0.3, 0.05))
+    force = solve(problem, algebraic).state.normal_force.sum((1, 2))
+    assert_allclose(force[0], force[1], rtol=1e-4)
+    assert_allclose(force[0], reference, rtol=0.06)
+
+
+def test_flat_slab_of_independent_codes():
+    thickness, x = 0.4769376, np.linspace(-1, 6, 57)
+    flat = np.full((57, 57), thickness)
+    problem = square(Imprint(x, x, flat, flat - 0.1997982), thickness, 40, 4, 1e4, (0.12, 0.05))
+    solution = solve(problem, algebraic)
+    assert_allclose(solution.state.normal_force[0].sum(), 1068.0, rtol=0.03)
+    axial = solution.state.u[2, :, 20, 20]
+    profile = np.interp(np.linspace(0, 1, 11), problem.grid.depth, axial / axial[-1])
+    reference = [0.001, 0.043, 0.116, 0.219, 0.342, 0.467, 0.594, 0.725, 0.842, 0.933, 1]
+    assert_allclose(profile[[0, 5, 10]], np.array(reference)[[0, 5, 10]], atol=0.02)
+
+
+@pytest.fixture
+def coin(shared_data):
+    with h5py.File(shared_data / "layers" / "coin_5c_1-thickness.mat") as file:
+        values = file["in_L0"][:].T.astype(float)
+    x = np.linspace(0, 5, 502)
+    return xr.DataArray(values, {"y": x, "x": x}, ("y", "x"), attrs={"units": "mm"})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("edges", ["free", "roller"])
+def test_real_coin_reaches_full_load_and_two_grids_agree(coin, edges):
+    total = [
+        computational_stress(
+            coin,
+            0.5,
+            MooneyRivlin(C10, C01),
+            window_friction=0.15,
+            sample_friction=0.05,
+            element_size=size,
+            edges=edges,
+        ).maps.attrs["sample_force_mN"]
+        for size in (0.125, 5 / 60)
+    ]
+    assert_allclose(total[0], total[1], rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"window_friction": -0.1}, "window_friction"),
+        ({"sample_friction": np.nan}, "sample_friction"),
+        ({"element_size": 0.6}, "larger than the thickness"),
+        ({"element_size": (0.1, 0.1)}, "one or three"),
+        ({"edges": "loose"}, "edges"),
+        ({"imprint_smoothing": -1.0}, "imprint_smoothing"),
+        ({"solver": "magic"}, "solver"),
+        ({"threads": 0}, "threads"),
+    ],
+)
+def test_parameters_that_cannot_be_used(change, message):
+    with pytest.raises(InputError, match=message):
+        computational_stress(relief(1), 0.5, MooneyRivlin(C10, C01), **{**SETTINGS, **change})
+
+
+def test_missing_values_must_be_filled_first():
+    with pytest.raises(InputError, match="clean_thickness"):
+        computational_stress(
+            relief(1).where(lambda m: m > m.min()), 0.5, MooneyRivlin(C10, C01), **SETTINGS
+        )
+
+
+def test_a_load_that_cannot_be_reached_is_an_error_that_says_how_far_it_came():
+    loaded = relief(1)
+    steps = loaded.copy(data=np.where(np.indices(loaded.shape).sum(0) % 2, 0.26, 0.49))
+    with pytest.raises(ConvergenceError, match=r"loaded to [\d.]+ % only"):
+        computational_stress(steps, 0.5, MooneyRivlin(C10, C01), **SETTINGS, imprint_smoothing=0.0)
