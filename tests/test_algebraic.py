@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.material import MooneyRivlin, neo_hookean
-from optical_palpation.palpation.algebraic import algebraic_stress
+from optical_palpation.palpation import ContactState, algebraic_result, algebraic_stress
 from optical_palpation.thickness import match_initial_thickness, read_thickness_map, thickness_map
 
 LAYER = MooneyRivlin(2.23, 0.703)
@@ -69,6 +69,22 @@ def test_beyond_the_layer_there_is_no_stress():
     stress = algebraic_stress(loaded, 0.5, LAYER)
     np.testing.assert_array_equal(np.isnan(stress[0]), [True, False, False, True])
     assert stress.attrs["no_contact_share"] == 0
+
+
+def test_result_holds_the_stress_what_touches_and_what_it_came_from():
+    loaded = flat(0.4, 0.45, 0.5, 0.6).assign_attrs(source="coin.mat", units="mm")
+    result = algebraic_result(loaded, 0.5, LAYER)
+    stress = algebraic_stress(loaded, 0.5, LAYER)
+    for name in ("axial_stress", "algebraic_axial_stress"):
+        np.testing.assert_array_equal(result.maps[name], stress)
+        assert result.maps[name].attrs["units"] == "kPa"
+    xr.testing.assert_identical(result.maps["loaded_thickness"], loaded)
+    expected = [ContactState.SLIP, ContactState.SLIP, ContactState.OPEN, ContactState.OPEN]
+    assert result.maps["contact_state"].values.tolist() == [expected, expected]
+    assert result.layer is None
+    about = {"method": "algebraic", "c10_kPa": 2.23, "c01_kPa": 0.703}
+    about |= {"initial_thickness_mm": 0.5, "no_contact_share": 0.5}
+    assert result.maps.attrs == about
 
 
 def test_crop_and_order_of_axes_do_not_change_a_pixel():

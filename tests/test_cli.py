@@ -168,6 +168,16 @@ def test_where_the_layer_is_not_thinner_there_is_no_contact(here, run):
     assert (maps["axial_stress"][:, 4:] < 0).all()
 
 
+def test_the_computational_method_reports_where_the_layer_is_not_thinner(here, run):
+    values = np.load("map.npy")
+    values[:, :4] = 0.51
+    np.save("gap.npy", values)
+    status, out, _ = run("stress", "gap.npy", *FRAME, *COMPUTATIONAL, "--output", "o.nc")
+    assert status == 0
+    assert f"taken as open: {4 / 17:.2%} of the map" in out
+    assert (read_result("o.nc").maps["contact_state"][:, 0] == ContactState.OPEN).all()
+
+
 def test_initial_thickness_may_be_a_map_of_its_own(here, run):
     shared = np.linspace(0.5, 0.6, 17) * np.ones((13, 1))
     scipy.io.savemat("before.mat", {"L0": shared, "other": shared})

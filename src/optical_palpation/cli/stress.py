@@ -14,9 +14,6 @@ from optical_palpation.cli.progress import ProgressDisplay
 if TYPE_CHECKING:
     import xarray as xr
 
-    from optical_palpation.material import MooneyRivlin
-    from optical_palpation.palpation.result import StressResult
-
 
 class Method(StrEnum):
     """How stress is computed."""
@@ -162,7 +159,9 @@ def stress(
         initial = read(Path(initial_thickness), initial_variable)["thickness"]
 
     if method is Method.ALGEBRAIC:
-        result = _algebraic_result(loaded, initial, material)
+        from optical_palpation.palpation import algebraic_result
+
+        result = algebraic_result(loaded, initial, material)
     else:
         assert window_friction is not None  # refused above, as are the other two
         assert sample_friction is not None
@@ -203,33 +202,6 @@ def stress(
         print(present.summarise(result))
         for kind, path in wanted.items():
             print(f"{kind}: {path}")
-
-
-def _algebraic_result(loaded: xr.DataArray, initial: Any, material: MooneyRivlin) -> StressResult:
-    import numpy as np
-    import xarray as xr
-
-    from optical_palpation.palpation.algebraic import algebraic_stress
-    from optical_palpation.palpation.result import ContactState, StressResult
-
-    stress = algebraic_stress(loaded, initial, material)
-    # The uniaxial test of each pixel knows no friction: what touches slips.
-    state = np.where(stress < 0, ContactState.SLIP, ContactState.OPEN)
-    return StressResult(
-        xr.Dataset(
-            {
-                "axial_stress": stress,
-                "algebraic_axial_stress": stress,
-                "contact_state": (("y", "x"), state.astype(np.int8)),
-                "loaded_thickness": loaded,
-            },
-            attrs={
-                "method": "algebraic",
-                "c10_kPa": material.c10,
-                "c01_kPa": material.c01,
-            },
-        )
-    )
 
 
 def _element_size(text: str | None) -> float | tuple[float, ...] | None:

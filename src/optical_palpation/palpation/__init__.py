@@ -1,6 +1,6 @@
 """The two methods of optical palpation, and their common result."""
 
-from optical_palpation.palpation.algebraic import algebraic_stress
+from optical_palpation.palpation.algebraic import algebraic_result, algebraic_stress
 from optical_palpation.palpation.computational import Progress, computational_stress
 from optical_palpation.palpation.result import ContactState, StressResult
 
@@ -8,6 +8,7 @@ __all__ = [
     "ContactState",
     "Progress",
     "StressResult",
+    "algebraic_result",
     "algebraic_stress",
     "computational_stress",
 ]

@@ -7,6 +7,7 @@ import xarray as xr
 
 from optical_palpation.errors import MaterialError
 from optical_palpation.material import MooneyRivlin, stable_stretches
+from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.thickness.frames import inside_layer, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
 
@@ -65,3 +66,41 @@ def algebraic_stress(
         "no_contact_share": initial.attrs["no_contact_share"],
     }
     return stress.rename("algebraic_axial_stress")
+
+
+def algebraic_result(
+    loaded: xr.DataArray, initial_thickness: float | xr.DataArray, material: MooneyRivlin
+) -> StressResult:
+    """Compute the algebraic stress as a result that can be drawn, written and summarised.
+
+    Parameters and errors are those of :func:`algebraic_stress`.
+
+    Returns
+    -------
+    StressResult
+        Maps on the pixels of `loaded`: ``axial_stress`` and the same as
+        ``algebraic_axial_stress`` (kPa), ``loaded_thickness`` (mm) and ``contact_state``. The
+        uniaxial test of each pixel knows no friction, so what touches slips. No ``layer``.
+    """
+    loaded = on_grid(loaded)
+    initial = match_initial_thickness(initial_thickness, loaded)
+    stress = algebraic_stress(loaded, initial, material)
+    state = np.where(stress < 0, ContactState.SLIP, ContactState.OPEN).astype(np.int8)
+    maps = xr.Dataset(
+        {
+            "axial_stress": stress,
+            "algebraic_axial_stress": stress,
+            "contact_state": (("y", "x"), state),
+            "loaded_thickness": loaded,
+        },
+        attrs={
+            "method": "algebraic",
+            "c10_kPa": material.c10,
+            "c01_kPa": material.c01,
+            "initial_thickness_mm": float(
+                match_initial_thickness(initial_thickness, loaded).mean()
+            ),
+            "no_contact_share": stress.attrs["no_contact_share"],
+        },
+    )
+    return StressResult(maps)

@@ -43,7 +43,7 @@ def summarise(result: StressResult) -> str:
         if np.any(state == kind)
     ]
     lines.append("contact with the sample: " + ", ".join(shares))
-    if open_share := maps["algebraic_axial_stress"].attrs.get("no_contact_share"):
+    if open_share := maps.attrs.get("no_contact_share"):
         lines.append(f"not thinner than unloaded, so taken as open: {open_share:.2%} of the map")
     change = maps.attrs.get("volume_change_percent", 0.0)
     if abs(change) > _NOTABLE_VOLUME_CHANGE:
