@@ -1,10 +1,8 @@
-"""Output files that are either whole or absent, and what every one of them records."""
+"""The kinds of output files, and what every one of them records."""
 
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -15,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from optical_palpation.errors import OutputError
+from optical_palpation.files import check_target, replacing
 
 SUFFIXES = {
     "result": (".nc", ".nc4", ".h5"),
@@ -39,26 +38,13 @@ def check_writable(path: str | Path, kind: str) -> Path:
     Raises
     ------
     OutputError
-        Wrong ending, missing folder, a folder in the file's place, or no permission to write.
+        Wrong ending, or as :func:`~optical_palpation.files.check_target`.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES[kind]:
         endings = " or ".join(SUFFIXES[kind])
         raise OutputError(f"{path}: the {kind} needs a name that ends in {endings}")
-    folder = path.parent
-    if not folder.is_dir():
-        raise OutputError(f"{path}: there is no folder {folder}; create it first")
-    if path.is_dir():
-        raise OutputError(f"{path}: is a folder; give the name of a file")
-    try:
-        if path.exists() and not os.access(path, os.W_OK):
-            raise PermissionError("the file exists and is write-protected")
-        # Asking for permissions is not enough: only an actual file shows that one can be made.
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(f"{path}: cannot be written ({reason}); choose another place") from error
+    check_target(path)
     return path
 
 
@@ -94,18 +80,8 @@ def atomic(path: str | Path, kind: str) -> Iterator[Path]:
     OutputError
         The target cannot be written; it is then as it was before.
     """
-    path = check_writable(path, kind)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
+    with replacing(check_writable(path, kind)) as temporary:
         yield temporary
-        os.replace(temporary, path)
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(
-            f"{path}: could not be written ({reason}); is the disk full or the folder protected?"
-        ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def provenance(maps: xr.Dataset) -> dict[str, Any]:

@@ -14,7 +14,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from optical_palpation.errors import InputError, OutputError
+from optical_palpation.errors import InputError
+from optical_palpation.files import replacing
 from optical_palpation.thickness.formats import Variable, read_variables
 from optical_palpation.thickness.frames import checked_values, thickness_map
 
@@ -115,7 +116,6 @@ def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.Pat
     OutputError
         If the file cannot be written.
     """
-    path = Path(path)
     dataset = thickness.to_dataset() if isinstance(thickness, xr.DataArray) else thickness.copy()
     dataset.attrs |= {
         "software": "optical-palpation",
@@ -123,15 +123,9 @@ def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.Pat
         "axis_order": "(y, x)",
     }
     encoding = {name: {"zlib": True} for name in dataset.data_vars}
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        # By way of memory, because HDF5 may crash on a disk that fills up under it.
-        temporary.write_bytes(dataset.to_netcdf(engine="h5netcdf", encoding=encoding))
-        os.replace(temporary, path)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    content = dataset.to_netcdf(engine="h5netcdf", encoding=encoding)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
 
 
 def _choose(variables: dict[str, Variable], wanted: str | None, path: Path) -> str:

@@ -1,0 +1,64 @@
+"""Output files that are either whole or absent."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from optical_palpation.errors import OutputError
+
+
+def check_target(path: str | os.PathLike[str]) -> None:
+    """Raise :class:`OutputError` now if no file could be written there later.
+
+    Raises
+    ------
+    OutputError
+        Missing folder, a folder or device in the file's place, or no permission to write.
+    """
+    path = Path(path)
+    folder = Path(os.path.realpath(path)).parent
+    if not folder.is_dir():
+        raise OutputError(f"{path}: there is no folder {path.parent}; create it first")
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder; give the name of a file")
+    if path.exists() and not path.is_file():
+        raise OutputError(f"{path}: is no regular file; choose another name")
+    try:
+        if path.exists() and not os.access(path, os.W_OK):
+            raise PermissionError("the file exists and is write-protected")
+        # Asking for permissions is not enough: only an actual file shows that one can be made.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"{path}: cannot be written ({reason}); choose another place") from error
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a temporary path beside the target, which replaces the target if all goes well.
+
+    Write HDF5 to it by way of memory: the HDF5 library can crash on a disk that fills up under it.
+
+    Raises
+    ------
+    OutputError
+        The target cannot be written; it is then as it was before.
+    """
+    check_target(path)
+    target = Path(os.path.realpath(path))  # a link stays a link
+    temporary = target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, target)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(
+            f"{path}: could not be written ({reason}); is the disk full or the folder protected?"
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
