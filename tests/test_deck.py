@@ -1,13 +1,13 @@
 """The exported deck: its content, and CalculiX run on it against our own solver."""
 
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from calculix import CalculixResult, calculix_installed, run_calculix
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.mechanics.direct import DirectSolver
 from optical_palpation.mechanics.elements import GRADIENTS, element_stress
@@ -17,9 +17,6 @@ from optical_palpation.mechanics.newton import Tolerances
 from optical_palpation.mechanics.path import StepControl, follow
 from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.present.deck import read_deck_result, write_deck
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from calculix import CalculixResult, calculix_installed, run_calculix
 
 needs_calculix = pytest.mark.skipif(
     not calculix_installed(), reason="CalculiX (Debian package calculix-ccx) is not installed"
