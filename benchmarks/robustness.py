@@ -1,0 +1,297 @@
+"""Random maps: does the computational method converge, or fail as it promises to?
+
+    python benchmarks/robustness.py                       200 maps, counts by class
+    python benchmarks/robustness.py --json failures.json  the same; what did not converge to a file
+    python benchmarks/robustness.py --replay 17           one of them, with its progress
+
+A map is rough, stepped, tilted or bumpy, may have holes that the sample does not reach, and presses
+the layer by up to half of its thickness; friction is 0 to 0.5 on either face, K/mu 20 to 1e5, the
+unloaded layer flat or not. Each map follows from its number alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import time
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from scipy.ndimage import gaussian_filter
+
+from optical_palpation.errors import ConvergenceError
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation import Progress, StressResult, computational_stress
+from optical_palpation.thickness import thickness_map
+
+RELIEFS = ("rough", "stepped", "tilted", "bumps")
+THICKNESS = 0.5  # mm
+PIXEL = 0.02  # mm
+
+
+@dataclass(frozen=True)
+class Case:
+    """One random problem; ``compression`` is the greatest there is, a share of the thickness."""
+
+    number: int
+    relief: str
+    holes: bool
+    compression: float
+    window_friction: float
+    sample_friction: float
+    bulk_to_shear: float
+    edges: str
+    uneven: bool
+    element_size: tuple[float, float, float]
+    field: tuple[float, float]
+
+    def maps(self) -> tuple[xr.DataArray, xr.DataArray]:
+        """Loaded and unloaded thickness, mm."""
+        rng = np.random.default_rng([self.number, 1])
+        axes = [np.linspace(0, size, round(size / PIXEL) + 1) for size in self.field]
+        x, y = np.meshgrid(*axes)
+        pressed = relief(self.relief, x, y, rng)
+        if self.holes:
+            pressed = np.minimum(pressed, 1.6 * _blobs(x, y, rng) - 0.3)
+        if self.edges == "roller":
+            # between rollers the layer keeps its volume: what is pressed here must rise elsewhere
+            pressed = pressed - pressed.mean()
+        unloaded = np.full_like(x, THICKNESS)
+        if self.uneven:
+            unloaded *= 1 + 0.1 * (2 * relief("tilted", x, y, rng) - 1)
+        loaded = unloaded * (1 - self.compression * pressed / max(pressed.max(), 1e-9))
+        return tuple(
+            thickness_map(values, x=axes[0], y=axes[1], where=f"random map {self.number}")
+            for values in (loaded, unloaded)
+        )
+
+    def solve(self, solver: str = "auto", progress=None) -> StressResult:
+        return computational_stress(
+            *self.maps(),
+            MooneyRivlin(2.23, 0.703, self.bulk_to_shear),
+            window_friction=self.window_friction,
+            sample_friction=self.sample_friction,
+            element_size=self.element_size,
+            edges=self.edges,
+            solver=solver,
+            threads=1,
+            progress=progress,
+        )
+
+
+def random_case(number: int) -> Case:
+    rng = np.random.default_rng([number, 0])
+    return Case(
+        number=number,
+        relief=str(rng.choice(RELIEFS)),
+        holes=bool(rng.random() < 0.3),
+        compression=float(rng.uniform(0.03, 0.5)),
+        window_friction=float(rng.choice([0.0, 1.0], p=[0.15, 0.85]) * rng.uniform(0, 0.5)),
+        sample_friction=float(rng.choice([0.0, 1.0], p=[0.15, 0.85]) * rng.uniform(0, 0.5)),
+        bulk_to_shear=float(20 * 5000 ** rng.random()),
+        edges=str(rng.choice(["free", "padded", "roller"], p=[0.7, 0.15, 0.15])),
+        uneven=bool(rng.random() < 0.3),
+        element_size=(*rng.uniform(0.08, 0.16, 2).tolist(), THICKNESS / int(rng.integers(2, 5))),
+        field=tuple(rng.uniform(1.2, 2.4, 2).tolist()),
+    )
+
+
+def relief(kind: str, x, y, rng):
+    """How much the layer is pressed at (x, y), 0 to about 1."""
+    if kind == "rough":
+        sigma = rng.uniform(0.04, 0.25) / PIXEL
+        field = gaussian_filter(rng.standard_normal(x.shape), sigma, mode="reflect")
+        return 0.5 + 0.25 * (field - field.mean()) / max(field.std(), 1e-9)
+    if kind == "stepped":
+        levels = np.floor(3 * (_blobs(x, y, rng) + _plane(x, y, rng))) / 3
+        return gaussian_filter(levels - levels.min(), rng.uniform(0.0, 0.06) / PIXEL)
+    if kind == "tilted":
+        return _plane(x, y, rng)
+    return 0.2 + 0.8 * _blobs(x, y, rng)
+
+
+def _plane(x, y, rng):
+    angle = rng.uniform(0, 2 * np.pi)
+    along = np.cos(angle) * x + np.sin(angle) * y
+    return (along - along.min()) / np.ptp(along)
+
+
+def _blobs(x, y, rng):
+    """Round bumps, 0 to 1."""
+    height = np.zeros_like(x)
+    for _ in range(int(rng.integers(1, 5))):
+        x0, y0 = rng.uniform(0, x.max()), rng.uniform(0, y.max())
+        width = rng.uniform(0.15, 0.5)
+        height = np.maximum(height, np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * width**2)))
+    return height
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a case ended: ``converged``, ``ConvergenceError``, or what must not happen."""
+
+    case: Case
+    kind: str
+    seconds: float
+    newton: int = 0
+    text: str = ""
+
+    @property
+    def allowed(self) -> bool:
+        return self.kind in ("converged", "ConvergenceError")
+
+
+class TimeLimit(Exception):
+    pass
+
+
+def attempt(case: Case, solver: str = "auto", limit: int = 120, progress=None) -> Outcome:
+    """Solve a case and check what came out."""
+
+    def out_of_time(*_: object) -> None:
+        raise TimeLimit
+
+    newton = 0
+
+    def count(report: Progress) -> None:
+        nonlocal newton
+        newton = report.newton
+        if progress:
+            progress(report)
+
+    signal.signal(signal.SIGALRM, out_of_time)
+    signal.alarm(limit)
+    start = time.perf_counter()
+    try:
+        result = case.solve(solver, count)
+        text = "; ".join(faults(result))
+        kind = "wrong result" if text else "converged"
+    except TimeLimit:
+        kind, text = "time limit", f"{limit} s"
+    except ConvergenceError as error:
+        kind, text = "ConvergenceError", str(error)
+    except Exception as error:
+        kind, text = type(error).__name__, str(error)
+    finally:
+        signal.alarm(0)
+    return Outcome(case, kind, time.perf_counter() - start, newton, text)
+
+
+def faults(result: StressResult) -> list[str]:
+    """What is wrong with a result that claims to be an equilibrium; nothing should be."""
+    layer, problem = result.layer, result.problem
+    assert layer is not None
+    assert problem is not None
+    found = []
+    pressure = result.maps["contact_pressure"]
+    if not np.isfinite(layer["position"]).all() or not np.isfinite(layer["cauchy_stress"]).all():
+        found.append("numbers that are not finite")
+    if float(pressure.min()) < -1e-9:
+        found.append(f"the sample pulls by {-float(pressure.min()):.2g} kPa")
+    if result.maps.attrs["force_balance"] > 1e-3:
+        found.append(f"forces differ by {100 * result.maps.attrs['force_balance']:.2g} %")
+    x, y, z = np.moveaxis(layer["position"].values, -1, 0)
+    height = problem.imprint.evaluate(x[-1], y[-1], 1.0)[0]
+    depth = max(float((z[-1] - height).max()), float(-z[0].min()))
+    if depth > 0.005 * THICKNESS:
+        found.append(f"the layer enters a rigid surface by {1000 * depth:.2g} um")
+    return found
+
+
+def tables(outcomes: list[Outcome]) -> str:
+    """Counts of how the cases ended, in all and by class of problem."""
+    kinds = sorted({o.kind for o in outcomes}, key=lambda k: (k != "converged", k))
+    classes = {
+        "all": lambda c: "",
+        "relief": lambda c: c.relief,
+        "holes": lambda c: "yes" if c.holes else "no",
+        "edges": lambda c: c.edges,
+        "compression": lambda c: _bin(c.compression, (0.15, 0.3, 0.4)),
+        "greater friction": lambda c: _bin(max(c.window_friction, c.sample_friction), (0.2, 0.35)),
+        "K/mu": lambda c: _bin(c.bulk_to_shear, (100, 1000, 10000)),
+        "unloaded layer": lambda c: "uneven" if c.uneven else "flat",
+    }
+    lines = [f"{'':32}{'maps':>6}" + "".join(f"{kind:>18}" for kind in kinds)]
+    for name, of in classes.items():
+        for value in sorted({of(o.case) for o in outcomes}):
+            members = [o for o in outcomes if of(o.case) == value]
+            count = Counter(o.kind for o in members)
+            lines.append(
+                f"{name:18}{value:14}{len(members):6}" + "".join(f"{count[k]:18}" for k in kinds)
+            )
+    seconds = np.sort([o.seconds for o in outcomes])
+    shares = ", ".join(f"{q} %: {np.percentile(seconds, q):.1f}" for q in (10, 50, 90, 99, 100))
+    lines.append(f"Seconds per map, one thread ({shares}); {seconds.sum():.0f} in all")
+    return "\n".join(lines)
+
+
+def _bin(value: float, limits: tuple[float, ...]) -> str:
+    for limit in limits:
+        if value < limit:
+            return f"< {limit:g}"
+    return f">= {limits[-1]:g}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--maps", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="number of the first map")
+    parser.add_argument("--limit", type=int, default=120, help="seconds per map")
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--solver", default="auto", choices=["auto", "multigrid", "direct"])
+    parser.add_argument("--json", type=Path, help="file for the maps that did not converge")
+    parser.add_argument("--replay", type=int, help="solve this map alone, in sight")
+    arguments = parser.parse_args()
+    if arguments.replay is not None:
+        case = random_case(arguments.replay)
+        print(case)
+        outcome = attempt(case, arguments.solver, arguments.limit, print)
+        print(
+            f"{outcome.kind}, {outcome.seconds:.1f} s, {outcome.newton} iterations {outcome.text}"
+        )
+        sys.exit(not outcome.allowed)
+    attempt(replace(random_case(0), compression=0.01))  # compiles, once for all
+    cases = [random_case(arguments.first + n) for n in range(arguments.maps)]
+    outcomes = []
+    # one thread each, the libraries' own included, or the maps would stand in each other's way
+    os.environ |= {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    with ProcessPoolExecutor(arguments.jobs, mp_context=get_context("spawn")) as pool:
+        futures = [pool.submit(attempt, c, arguments.solver, arguments.limit) for c in cases]
+        for future in futures:
+            outcomes.append(future.result())
+            o = outcomes[-1]
+            if o.kind != "converged":
+                print(
+                    f"map {o.case.number}: {o.kind} after {o.seconds:.1f} s: {o.text}", flush=True
+                )
+            if arguments.json:
+                _write(arguments.json, outcomes)
+    print(tables(outcomes))
+    sys.exit(not all(o.allowed for o in outcomes))
+
+
+def _write(path: Path, outcomes: list[Outcome]) -> None:
+    failed = [o for o in outcomes if o.kind != "converged"]
+    seconds = [round(o.seconds, 2) for o in outcomes]
+    record = {
+        "maps": len(outcomes),
+        "counts": Counter(o.kind for o in outcomes),
+        "seconds": seconds,
+        "newton": [o.newton for o in outcomes],
+        "not_converged": [asdict(o) for o in failed],
+    }
+    path.write_text(json.dumps(record, indent=1))
+
+
+if __name__ == "__main__":
+    main()
