@@ -146,21 +146,18 @@ def test_newton_matrix_is_the_derivative_of_the_equations_with_contact_and_frict
     def equations(u):
         moved = state.copy()
         moved.u = u
-        now = balance(problem, moved)
-        out = now.force.copy()
-        for face, k in ((0, 0), (1, -1)):
-            out[:2, k] += now.contact.row[face] * now.force[2, k]
-        return out, now
+        return balance(problem, moved)
 
-    now = equations(state.u)[1]
+    now = equations(state.u)
     state.normal_force = np.maximum(0, np.stack([now.force[2, 0], -now.force[2, -1]]))
-    now = equations(state.u)[1]
+    now = equations(state.u)
     system = assemble(
         problem, state, now.contact, now.force, now.volume, now.volume_ref, 0.0, np.float64
     )
     step = np.where(system.free, rng.standard_normal(state.u.shape), 0.0)
     cartesian = 1e-7 * system.to_cartesian(step)
-    expected = (equations(state.u + cartesian)[0] - equations(state.u - cartesian)[0]) / 2e-7
+    change = equations(state.u + cartesian).residual - equations(state.u - cartesian).residual
+    expected = change / 2e-7
     a, b = halo_zeros(problem.grid.node_shape, float), halo_zeros(problem.grid.node_shape, float)
     interior(a)[:] = step
     multiply(system.stencil, a, b)

@@ -23,6 +23,10 @@ The slope a = -(A_x, A_y) / A_z along which the contact force acts is that of th
 faces, with A the area vector of the node (the gradient of the layer's volume), not that of the
 imprint: a uniform pressure is then in exact equilibrium on the mesh. With the imprint's own slope a
 pressure well above the shear modulus drives the nodes sideways.
+
+A free side bulges and, under a large compression, rolls onto the window and the imprint. The nodes
+of the sides therefore meet both surfaces too, with a stiff smooth penalty and no friction: the band
+that rolls over is narrow and carries little, but without it the layer would turn inside out there.
 """
 
 from __future__ import annotations
@@ -42,6 +46,9 @@ Array = NDArray[np.float64]
 _MEMORY = 10.0
 #: A contact spring stiffer than this many times its scale c is a prescribed displacement.
 _RIGID = 1e3
+#: Penalty of the sides, in shear moduli per element height, and its smoothing, in shear moduli: a
+#: contact pressure of one shear modulus leaves a penetration of 10 % of an element.
+_SIDE_PENALTY, _SIDE_SMOOTHING = 10.0, 2e-2
 
 
 @dataclass(frozen=True)
@@ -54,7 +61,7 @@ class ContactLinearisation:
     2, 3; imprint only) the lateral stiffness by which contact forces turn with the element faces,
     over the neighbours 3 (dy + 1) + (dx + 1); ``spring`` the stiffness of the
     contact coordinate d, ``load`` the right-hand side that belongs to it; where ``rigid``, d is
-    prescribed as ``step`` instead. ``violation`` is psi, mN.
+    prescribed as ``step`` instead. ``violation`` is psi, mN. ``sides`` is the contact of the sides.
     """
 
     penetration: Array
@@ -67,6 +74,20 @@ class ContactLinearisation:
     load: Array
     rigid: NDArray[np.bool_]
     step: Array
+    sides: SideContact
+
+
+@dataclass(frozen=True)
+class SideContact:
+    """Contact of the nodes on the sides (``LayerGrid.side_nodes``) with window and imprint.
+
+    ``normal_force`` (2, n), mN, vertical, compression positive; ``force`` (3, n), mN, what the
+    nodes must balance; ``stiffness`` (3, 3, n), its derivative, mN / mm.
+    """
+
+    normal_force: Array
+    force: Array
+    stiffness: Array
 
 
 def complementarity_scale(problem: LayerProblem) -> Array:
@@ -127,8 +148,41 @@ def linearise(
     turning = np.zeros((*h.shape, 9, 2, 3))
     _turning_stiffness(top, np.maximum(normal[SAMPLE], 0.0) / area[2], face_slope, turning)
     return ContactLinearisation(
-        penetration, violation, row, column, block, turning, spring, load, rigid, step
+        penetration,
+        violation,
+        row,
+        column,
+        block,
+        turning,
+        spring,
+        load,
+        rigid,
+        step,
+        side_contact(problem, state),
     )
+
+
+def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
+    """Contact of the free sides with window and imprint at ``state``."""
+    grid = problem.grid
+    nodes = grid.side_nodes
+    count = nodes[0].size if problem.edges == "free" else 0
+    x, y, z = (grid.nodes[c][nodes][:count] + state.u[c][nodes][:count] for c in range(3))
+    h, hx, hy, hxx, hxy, hyy = problem.imprint.evaluate(x, y, state.load)
+    dz, dy, dx = grid.spacing()
+    unit = problem.shear_modulus * 0.5 * (dx + dy)  # shear modulus x area of a node / dz
+    c, eps = _SIDE_PENALTY * unit, _SIDE_SMOOTHING * unit * dz
+    t = c * np.stack([-z, z - h])
+    root = np.sqrt(t**2 + 4 * eps**2)
+    normal = np.where(t > 0, 0.5 * (t + root), 2 * eps**2 / (root - t))
+    slope = c * np.where(t > 0, 0.5 * (1 + t / root), 2 * eps**2 / (root * (root - t)))
+    flat, one = np.zeros_like(x), np.ones_like(x)
+    # gradients of the penetrations
+    gradient = np.array([[flat, flat, -one], [-hx, -hy, one]])
+    force = np.einsum("fn,fcn->cn", normal, gradient)
+    stiffness = np.einsum("fn,fcn,fdn->cdn", slope, gradient, gradient)
+    stiffness[:2, :2] -= normal[SAMPLE] * np.array([[hxx, hxy], [hxy, hyy]])
+    return SideContact(normal, force, stiffness)
 
 
 def _face_quadrature() -> tuple[Array, Array]:

@@ -57,6 +57,16 @@ class LayerGrid:
         nodes[2] = self.depth[:, None, None] * self.thickness
         return nodes
 
+    @cached_property
+    def side_nodes(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """Indices (k, j, i) of the nodes on the four sides that lie on neither face."""
+        nz1, ny1, nx1 = self.node_shape
+        side = np.zeros((ny1, nx1), bool)
+        side[[0, -1]] = side[:, [0, -1]] = True
+        j, i = np.nonzero(side)
+        k = np.arange(1, nz1 - 1)
+        return np.repeat(k, j.size), np.tile(j, k.size), np.tile(i, k.size)
+
     def spacing(self) -> tuple[float, float, float]:
         """Typical (median) element sizes (z, y, x), mm."""
         return (
@@ -112,10 +122,21 @@ class LayerGrid:
         return areas
 
 
-def node_positions(length: float, size: float, origin: float = 0.0) -> Array:
-    """Uniform node coordinates from ``origin`` over ``length`` with elements of about ``size``."""
-    count = max(1, round(length / size))
-    return origin + np.linspace(0.0, length, count + 1)
+def node_positions(
+    length: float, size: float, origin: float = 0.0, *, edge: float | None = None
+) -> Array:
+    """Node coordinates from ``origin`` over ``length`` with elements of about ``size``.
+
+    They are uniform, but for ``edge``: the width of the two outermost elements, from which the
+    widths double inwards until they reach ``size``.
+    """
+    widths = []
+    while edge is not None and edge * 2 ** len(widths) < 0.75 * size:
+        widths.append(edge * 2 ** len(widths))
+    inner = length - 2 * sum(widths)
+    count = max(1, round(inner / size))
+    widths += [inner / count] * count + widths[::-1]
+    return origin + np.concatenate([[0.0], np.cumsum(widths)]) * length / sum(widths)
 
 
 def graded_depths(count: int, grading: float = 1.0) -> Array:

@@ -59,9 +59,14 @@ _SMOOTHING = (3e-2, 1e-3)
 
 @dataclass
 class Balance:
-    """Internal forces, volumes and contact of a state, and how far it is from equilibrium."""
+    """Internal forces, volumes and contact of a state, and how far it is from equilibrium.
+
+    ``force`` are the internal nodal forces (x, y, z), ``residual`` what is out of balance of the
+    equations in contact coordinates, both (3, nz + 1, ny + 1, nx + 1), mN.
+    """
 
     force: Array
+    residual: Array
     volume: Array
     volume_ref: Array
     contact: ContactLinearisation
@@ -97,6 +102,8 @@ def balance(problem: LayerProblem, state: LayerState, smoothing: float = _SMOOTH
     for face, k, sign in ((WINDOW, 0, -1.0), (SAMPLE, -1, 1.0)):
         out[:2, k] += contact.row[face] * force[2, k]
         out[2, k] += sign * state.normal_force[face]
+    if problem.edges == "free":
+        out[:, *problem.grid.side_nodes] += contact.sides.force
     if problem.edges == "roller":
         out[0, :, :, [0, -1]] = 0.0
         out[1, :, [0, -1], :] = 0.0
@@ -104,6 +111,7 @@ def balance(problem: LayerProblem, state: LayerState, smoothing: float = _SMOOTH
     error = np.hypot(np.linalg.norm(out), np.linalg.norm(contact.violation)) / scale
     return Balance(
         force=force,
+        residual=out,
         volume=volume,
         volume_ref=volume_ref,
         contact=contact,

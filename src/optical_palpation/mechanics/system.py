@@ -128,6 +128,12 @@ def assemble(
     vertical_rows = stencil[[0, -1]][:, :, :, 6:].copy()
     for face, k in ((WINDOW, 0), (SAMPLE, -1)):
         stencil[k, :, 13, 8] += contact.spring[face]
+    sides = grid.side_nodes
+    if problem.edges == "free":
+        k, j, i = sides
+        for c in range(3):
+            for d in range(3):
+                stencil[k, j, 13, 3 * c + d, i] += contact.sides.stiffness[c, d]
     system = NewtonSystem(
         stencil=stencil,
         divergence=divergence,
@@ -143,6 +149,8 @@ def assemble(
     )
     volume_residual = volume - volume_ref * (1 + state.p / problem.bulk_modulus)
     residual = system.combine_rows(force.copy())
+    if problem.edges == "free":
+        residual[:, *sides] += contact.sides.force
     residual[2, [0, -1]] -= contact.load
     residual += system.pressure_force(gamma / volume_ref * volume_residual)
     if prescribed.any():

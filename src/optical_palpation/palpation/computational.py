@@ -20,7 +20,7 @@ from scipy.interpolate import RegularGridInterpolator
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
-from optical_palpation.mechanics.contact import area_vectors, friction_fraction
+from optical_palpation.mechanics.contact import area_vectors, friction_fraction, side_contact
 from optical_palpation.mechanics.elements import GRADIENTS, element_stress
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.imprint import Imprint
@@ -36,6 +36,9 @@ Edges = Literal["free", "roller", "padded"]
 
 #: Width, in thicknesses, by which ``padded`` edges continue the layer past the field of view.
 PADDING = 3.0
+#: Width of the outermost elements of a free side, in heights of an element: what the stress-free
+#: side does to the layer's total force is resolved to about 1 %.
+EDGE = 0.25
 #: A node slips where friction has reached this share of its bound.
 SLIP_SHARE = 0.9
 
@@ -158,7 +161,8 @@ def computational_stress(
 
     layer, surface = _layer(solution)
     maps = _maps(solution, surface, loaded, algebraic)
-    window_force, sample_force = (float(n) for n in solution.state.normal_force.sum((1, 2)))
+    sides = side_contact(solution.problem, solution.state).normal_force.sum(1)
+    window_force, sample_force = map(float, solution.state.normal_force.sum((1, 2)) + sides)
     maps.attrs = {
         **{key: value for key, value in loaded.attrs.items() if key.startswith("source")},
         "method": "computational",
@@ -253,10 +257,12 @@ def _problem(
     imprint = Imprint(x, y, *values)
     if smoothing > 0:
         imprint = imprint.smoothed(smoothing)
-    nodes_x, nodes_y = node_positions(x1 - x0, sizes[0], x0), node_positions(y1 - y0, sizes[1], y0)
+    depth = node_positions(1.0, sizes[2] / thickness)
+    edge = EDGE * depth[1] * thickness if edges == "free" else None
+    nodes_x = node_positions(x1 - x0, sizes[0], x0, edge=edge)
+    nodes_y = node_positions(y1 - y0, sizes[1], y0, edge=edge)
     if edges == "padded":
         nodes_x, nodes_y = (_padded(n, PADDING * thickness) for n in (nodes_x, nodes_y))
-    depth = node_positions(1.0, sizes[2] / thickness)
     unloaded = imprint.evaluate(*np.meshgrid(nodes_x, nodes_y), 0.0)[0]
     return LayerProblem(
         grid=LayerGrid(nodes_x, nodes_y, depth, unloaded),
@@ -399,12 +405,11 @@ def _surface_axial_stress(stress: Array, normal: Array, pressure: Array) -> Arra
 def _maps(
     solution: Solution, surface: dict[str, Array], loaded: xr.DataArray, algebraic: xr.DataArray
 ) -> xr.Dataset:
-    """Surface fields in the laboratory frame, on the lateral nodes inside the layer's extent."""
+    """Surface fields in the laboratory frame, on uniform points at the elements' spacing."""
     grid = solution.problem.grid
     x0, x1, y0, y1 = layer_extent_of(loaded)
-    slack = 1e-9 * (x1 - x0)
-    x = grid.x[(grid.x >= x0 - slack) & (grid.x <= x1 + slack)]
-    y = grid.y[(grid.y >= y0 - slack) & (grid.y <= y1 + slack)]
+    _, size_y, size_x = grid.spacing()
+    x, y = node_positions(x1 - x0, size_x, x0), node_positions(y1 - y0, size_y, y0)
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
     moved = np.stack([surface["y"] - grid.y[:, None], surface["x"] - grid.x], axis=-1)
     shift = RegularGridInterpolator((grid.y, grid.x), moved, bounds_error=False, fill_value=None)
