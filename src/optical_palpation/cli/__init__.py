@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from optical_palpation.cli.demo import demo
+from optical_palpation.cli.material import material
 from optical_palpation.cli.stress import StressCommand, stress
 from optical_palpation.errors import ConvergenceError, OpticalPalpationError
 
@@ -26,6 +27,7 @@ app = typer.Typer(
 )
 app.command(cls=StressCommand)(stress)
 app.command()(demo)
+app.command()(material)
 
 
 def _print_version(wanted: bool) -> None:

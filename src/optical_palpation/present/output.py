@@ -21,6 +21,8 @@ SUFFIXES = {
     "ParaView file": (".vts",),
     "profiles": (".csv",),
     "deck": (".inp",),
+    "record": (".json",),
+    "calibration": (".nc", ".nc4", ".h5"),
 }
 
 
@@ -54,7 +56,7 @@ def check_outputs(outputs: Mapping[str, Path], inputs: Sequence[Path] = ()) -> N
     Parameters
     ----------
     outputs
-        Intended files by kind (``result``, ``picture``, ``ParaView file``, ``profiles``, ``deck``).
+        Intended files by kind, a key of ``SUFFIXES``.
     inputs
         Files that must not be overwritten.
 
