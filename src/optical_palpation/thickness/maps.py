@@ -40,13 +40,16 @@ def read_thickness_map(
     The format is told from the content. Lengths in the file are mm unless a suffix of the
     variable's name (``L1_um``), its ``units`` attribute or `length_unit` says otherwise.
 
+    Pixels that a variable ``filled`` of the same file marks are missing: their values were made up
+    and not measured.
+
     Parameters
     ----------
     path
         MATLAB .mat (v5 to v7.3), .npy, .npz, .csv or .txt, floating-point .tif or NetCDF.
     variable
         Name of the map in the file; may be left out when exactly one array of the file can be one
-        (two dimensions, floating-point, at least 2 x 2).
+        (two dimensions, floating-point, at least 2 x 2), or one of these is called ``thickness``.
     length_unit
         ``"mm"`` or ``"um"``, the unit of the thickness values in the file.
     field_of_view
@@ -81,6 +84,9 @@ def read_thickness_map(
     array = variables[name]
     unit = _length_unit(name, array.unit, length_unit, where) or "mm"
     values = checked_values(array.values, where)
+    filled = variables["filled"].values if "filled" in variables else np.zeros(())
+    if filled.shape == values.shape and filled.dtype.kind in "biu":
+        values[filled != 0] = np.nan
     dims = [_axis(dim) for dim in array.dims]
     if dims == ["x", "y"]:
         values = values.T
@@ -149,6 +155,8 @@ def _choose(variables: dict[str, Variable], wanted: str | None, path: Path) -> s
         and min(array.values.shape) > 1
         and _axis(name) not in ("x", "y")
     ]
+    if "thickness" in fitting:
+        return "thickness"
     if len(fitting) != 1:
         problem = "more than one array that can be" if fitting else "no array that can be"
         raise InputError(
