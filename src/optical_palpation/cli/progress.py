@@ -10,7 +10,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 if TYPE_CHECKING:
-    from optical_palpation.palpation import Progress as Report
+    from optical_palpation.palpation import Progress as OfStress
+    from optical_palpation.study import Progress as OfStudy
+
+    Report = OfStress | OfStudy
 
 _LOAD_STEP = 0.1
 _SILENCE = 10.0
@@ -31,14 +34,14 @@ class ProgressDisplay:
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
-            TextColumn("load {task.completed:4.0%}, {task.fields[newton]} Newton iterations"),
+            TextColumn("{task.fields[reached]}"),
             TimeElapsedColumn(),
             TextColumn("{task.fields[left]}"),
             console=self._console,
             transient=True,
             disable=quiet or not self._console.is_terminal,
         )
-        self._task = self._bar.add_task("starting", total=1.0, newton=0, left="")
+        self._task = self._bar.add_task("starting", total=1.0, reached="", left="")
 
     def __enter__(self) -> ProgressDisplay:
         self._bar.start()
@@ -61,7 +64,7 @@ class ProgressDisplay:
                 self._task,
                 description=description,
                 completed=report.load,
-                newton=report.newton,
+                reached=_reached(report).removesuffix(", "),
                 left=left,
             )
             return
@@ -77,8 +80,8 @@ class ProgressDisplay:
             return
         self._last, self._last_time = (report.stage, report.load), now
         self._console.print(
-            f"{description}: load {report.load:.0%}, {report.newton} Newton iterations, "
-            f"{now - self._started:.0f} s" + (f", {left}" if left else ""),
+            f"{description}: {_reached(report)}{now - self._started:.0f} s"
+            + (f", {left}" if left else ""),
             soft_wrap=True,
             markup=False,
         )
@@ -94,3 +97,9 @@ class ProgressDisplay:
         seconds = (now - start) * (1 - report.load) / (report.load - load)
         text = f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
         return f"about {text} left for this stage"
+
+
+def _reached(report: Report) -> str:
+    if report.newton is None:  # a stage without a load; a short one only tells that it begins
+        return f"{report.load:.0%}, " if report.load else ""
+    return f"load {report.load:.0%}, {report.newton} Newton iterations, "

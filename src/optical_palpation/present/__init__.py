@@ -1,5 +1,6 @@
 """Results out: NetCDF, picture, ParaView file, profiles and a summary in words."""
 
+from optical_palpation.present.boundaries_figure import write_boundaries_figure
 from optical_palpation.present.deck import write_deck
 from optical_palpation.present.netcdf import read_result, write_result
 from optical_palpation.present.output import check_outputs
@@ -13,6 +14,7 @@ __all__ = [
     "check_outputs",
     "read_result",
     "summarise",
+    "write_boundaries_figure",
     "write_deck",
     "write_panel",
     "write_profiles",

@@ -1,0 +1,201 @@
+"""Reading a study file, and saying in its own words what is wrong with it."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from optical_palpation.errors import InputError, MaterialError, OutputError
+from optical_palpation.files import replacing
+from optical_palpation.study.schema import (
+    MapInput,
+    NumberInput,
+    Study,
+    Table,
+    VolumeInput,
+    kind_of_input,
+)
+
+
+def write_template(path: str | Path) -> None:
+    """Write a commented study file to begin with.
+
+    Raises
+    ------
+    OutputError
+        If there is such a file already, or it cannot be written.
+    """
+    if Path(path).exists():
+        raise OutputError(f"{path}: exists already and is left as it is; give another name")
+    text = files("optical_palpation.study").joinpath("template.toml").read_text(encoding="utf-8")
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def read_study(path: str | Path) -> Study:
+    """Read and check a study file.
+
+    Keys of ``[volumes]`` hold for both volumes; those of ``[unloaded]`` and ``[loaded]`` go first.
+
+    Parameters
+    ----------
+    path
+        TOML, as :func:`write_template` makes it. Files that it names are sought from its folder.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or naming everything in it that cannot be used: table, key,
+        value, and what would be right.
+    """
+    path = Path(path)
+    try:
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(
+            f"{path}: no such file; 'optical-palpation new {path}' writes one to begin with"
+        ) from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: is no valid TOML: {error}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: the study file cannot be read ({error})") from error
+    common = given.get("volumes", {})
+    merged = dict(given)
+    for side in ("unloaded", "loaded"):
+        own = given.get(side)
+        if isinstance(own, dict) and isinstance(common, dict) and "volume" in own:
+            merged[side] = common | own
+    try:
+        study = Study.model_validate(merged)
+    except ValidationError as error:
+        problems = "\n".join(dict.fromkeys(f"  {line}" for line in _problems(error, given)))
+        raise InputError(f"{path}: cannot be used:\n{problems}") from None
+    study._file = path
+    _check(study)
+    return study
+
+
+def _check(study: Study) -> None:
+    """Refuse what is wrong with more than a single value, before anything is computed."""
+    from optical_palpation.material import MooneyRivlin
+
+    try:
+        MooneyRivlin(**study.material.model_dump())
+    except MaterialError as error:
+        raise MaterialError(f"{study.file}: [material]: {error}") from None
+    for side, source in study.inputs.items():
+        for key in ("volume", "map", "corrections"):
+            name = getattr(source, key, None)
+            if name is not None and not study.path(name).exists():
+                raise InputError(
+                    f"{study.file}: {side}.{key} = {name!r}: there is no {study.path(name)}; "
+                    "paths count from the folder of the study file"
+                )
+
+
+_HINTS = {
+    "c10": "kPa",
+    "c01": "kPa",
+    "thickness": "mm",
+    "element_size": "mm, one number or three for x, y and z",
+    "extent": "mm, x0, x1, y0, y1",
+    "window_range": "mm, shallow and deep",
+    "sample_range": "mm, shallow and deep",
+    "field_of_view": "mm, x and y",
+    "pixel_spacing": "mm, x and y",
+    "spacing": "mm by axis, such as { z = 0.0035, y = 0.01, x = 0.01 }",
+    "origin": "mm by axis, such as { z = 0.0, y = 0.0, x = 0.0 }",
+}
+
+
+def _problems(error: ValidationError, given: Mapping[str, Any]) -> Iterator[str]:
+    """Say each problem in the words of the file."""
+    wrong: dict[str, list[str]] = {}  # a value of several possible types has a problem with each
+    for problem in error.errors(include_url=False):
+        keys = [key for key in problem["loc"] if isinstance(key, str)]
+        if keys[0] in ("unloaded", "loaded"):
+            del keys[1:2]  # the kind of input that pydantic puts there
+            if len(keys) > 1 and _in(given, "volumes", keys[1]) and not _in(given, *keys[:2]):
+                continue  # inherited; it is reported where it stands
+        known = _known(keys[:-1], given)
+        if problem["type"] == "extra_forbidden":
+            yield f"{'.'.join(keys)} = {problem['input']!r}: {_unknown(keys, known)}"
+            continue
+        while len(keys) > 1 and keys[-1] not in known:  # one of several types, such as "float"
+            keys.pop()
+            known = _known(keys[:-1], given)
+        key = ".".join(keys)
+        if problem["type"] == "missing" and isinstance(problem["loc"][-1], str):
+            yield f"{key}: is missing{_hint(keys)}"
+        elif problem["type"] in ("model_type", "dict_type", "model_attributes_type"):
+            yield f"{key} = {problem['input']!r}: must be a table{_hint(keys)}"
+        else:
+            text = _WORDS.get(problem["type"]) or re.sub(
+                "(Input|Value) should be ", "", problem["msg"]
+            )
+            texts = wrong.setdefault(f"{key} = {_value(given, keys)!r}{_hint(keys)}", [])
+            texts.append(text)
+    for start, texts in wrong.items():
+        yield f"{start}: must be {', or '.join(dict.fromkeys(texts))}"
+
+
+def _in(given: Mapping[str, Any], table: str, key: str) -> bool:
+    return isinstance(given.get(table), dict) and key in given[table]
+
+
+def _value(given: Any, keys: list[str]) -> Any:
+    for key in keys:
+        given = given.get(key) if isinstance(given, dict) else None
+    return given
+
+
+_WORDS = {
+    "missing": "an array of the right length",
+    "too_long": "an array of the right length",
+    "tuple_type": "an array",
+    "bool_type": "true or false",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "string_type": "text in quotes",
+    "string_too_short": "text that is not empty",
+}
+_OR_NUMBER = {"loaded": "", "unloaded": " or the thickness in mm"}
+
+
+def _hint(keys: list[str]) -> str:
+    if keys in (["unloaded"], ["loaded"], ["loaded", "volume"], ["unloaded", "volume"]):
+        return f"; [{keys[0]}] takes a volume or a map{_OR_NUMBER[keys[0]]}"
+    if keys[0] in ("title", "outputs"):
+        return ""
+    return f" ({_HINTS[keys[-1]]})" if keys[-1] in _HINTS else ""
+
+
+def _unknown(keys: list[str], known: list[str]) -> str:
+    """Say that a key is unknown, and which one may have been meant."""
+    where = f"[{'.'.join(keys[:-1])}]" if len(keys) > 1 else "the file"
+    if keys[0] in ("unloaded", "loaded") and keys[-1] in ("volume", "map", "thickness"):
+        return f"{where} takes a volume or a map{_OR_NUMBER[keys[0]]}, and one of them"
+    near = difflib.get_close_matches(keys[-1], known, 1)
+    meant = f"did you mean {near[0]}?" if near else f"known there are {', '.join(known)}"
+    return f"{where} has no such key; {meant}"
+
+
+def _known(keys: list[str], given: Mapping[str, Any]) -> list[str]:
+    """Keys that the table at `keys` may hold."""
+    model: Any = Study
+    for key in keys:
+        if key in ("unloaded", "loaded"):
+            kinds = {"volume": VolumeInput, "map": MapInput, "thickness": NumberInput}
+            model = kinds[kind_of_input(given.get(key))]
+        else:
+            field = model.model_fields.get(key) if model else None
+            types = [field.annotation, *getattr(field.annotation, "__args__", ())] if field else []
+            model = next((t for t in types if isinstance(t, type) and issubclass(t, Table)), None)
+    return list(model.model_fields) if model else []

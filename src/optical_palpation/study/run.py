@@ -1,0 +1,84 @@
+"""Running a study: everything that its file asks for, in one folder that tells where it is from."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from optical_palpation.errors import InputError
+from optical_palpation.study.inputs import facts
+from optical_palpation.study.record import Progress, make_all
+from optical_palpation.study.schema import Study
+from optical_palpation.study.stages import Stages
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """Where the results of a study lie.
+
+    Attributes
+    ----------
+    folder
+        The result folder.
+    files
+        Names of the files in it, in the order in which they were made.
+    earlier
+        Those of them that an earlier run had made already.
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    earlier: tuple[str, ...]
+
+
+def run_study(
+    study: Study,
+    *,
+    thickness_only: bool = False,
+    progress: Callable[[Any], None] | None = None,
+) -> StudyResult:
+    """Do everything that a study file asks for; go on where an earlier run was interrupted.
+
+    A file of the result folder is made anew if it is not there or damaged, or if anything that it
+    depends on has changed: an input file, a parameter, the version of the software. The record
+    ``provenance.json`` tells all of these, and ``complete`` in it whether the folder is.
+
+    Parameters
+    ----------
+    study
+        As :func:`read_study` gives it.
+    thickness_only
+        Stop before the stress, to look at the boundaries first.
+    progress
+        Called now and then with an object that has ``stage`` (text), ``load`` (share that is
+        done; of the load in the computational method), ``newton`` (iterations, or None) and
+        ``message``.
+
+    Raises
+    ------
+    InputError, MaterialError
+        If an input cannot be used.
+    ConvergenceError
+        If the full load is not reached.
+    OutputError
+        If the result folder cannot be written, or holds something else.
+    """
+    tell = progress or (lambda report: None)
+    tell(Progress("reading the inputs", 0.0))
+    inputs = {}
+    for side, source in study.inputs.items():
+        try:
+            inputs[side] = facts(study, source)
+        except InputError as error:
+            raise InputError(f"{study.file}, [{side}]: {error}") from error
+    about = {
+        "study_sha256": hashlib.sha256(study.file.read_bytes()).hexdigest(),
+        "parameters": study.model_dump(mode="json"),
+        "inputs": inputs,
+    }
+    stages = Stages(study).plan(inputs, thickness_only)
+    earlier = make_all(study.folder, study.file.name, about, stages, tell)
+    return StudyResult(study.folder, tuple(stage.file for stage in stages), tuple(earlier))

@@ -1,0 +1,182 @@
+"""What a study file may say, table by table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    PrivateAttr,
+    Strict,
+    Tag,
+)
+
+Positive = Annotated[float, Field(gt=0)]
+Text = Annotated[str, Field(min_length=1)]
+# TOML has arrays and no tuples: the tuple is not strict, the numbers in it are.
+Pair = Annotated[tuple[Positive, Positive], Strict(False)]
+Range = Annotated[tuple[float, float], Strict(False)]
+Three = Annotated[tuple[Positive, Positive, Positive], Strict(False)]
+Extent = Annotated[tuple[float, float, float, float], Strict(False)]
+Picture = Literal["panel", "vtk", "profiles", "report"]
+Coefficient = Annotated[float, Field(ge=0, le=2)]
+
+
+class Table(BaseModel):
+    """A table of the file, which has the keys named here and no others."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Spacing(Table):
+    """Distance between samples along the axes, mm."""
+
+    z: Positive | None = None
+    y: Positive | None = None
+    x: Positive | None = None
+
+
+class Origin(Table):
+    """Position of the first sample, mm."""
+
+    z: float | None = None
+    y: float | None = None
+    x: float | None = None
+
+
+class Volumes(Table):
+    """How volumes are read and what the layer's boundaries look like in them."""
+
+    variable: Text | None = None
+    axes: Text | None = None
+    spacing: Spacing | None = None
+    scale: Literal["linear", "dB"] | None = None
+    refractive_index: Annotated[float, Field(ge=1, le=4)] | None = None
+    origin: Origin | None = None
+    window: Literal["line", "fall", "rise"] | float = "line"
+    sample: Literal["rise", "line", "fall"] = "rise"
+    window_range: Range | None = None
+    sample_range: Range | None = None
+    method: Literal["surface", "canny"] = "surface"
+
+
+class VolumeInput(Volumes):
+    """An OCT volume in which the layer is found."""
+
+    volume: Text
+    corrections: Text | None = None
+
+
+class MapInput(Table):
+    """A thickness map."""
+
+    map: Text
+    variable: Text | None = None
+    length_unit: Literal["mm", "um"] | None = None
+    field_of_view: Pair | None = None
+    pixel_spacing: Pair | None = None
+
+
+class NumberInput(Table):
+    """A thickness that is the same everywhere, mm."""
+
+    thickness: Positive
+
+
+def kind_of_input(given: Any) -> str:
+    """Tell the kind of an input by its key; of none or several, the kind that says so best."""
+    keys = given if isinstance(given, Mapping) else {}
+    return next((kind for kind in ("volume", "map", "thickness") if kind in keys), "volume")
+
+
+Loaded = Annotated[
+    Union[Annotated[VolumeInput, Tag("volume")], Annotated[MapInput, Tag("map")]],  # noqa: UP007
+    Discriminator(lambda given: "map" if kind_of_input(given) == "map" else "volume"),
+]
+Unloaded = Annotated[
+    Union[  # noqa: UP007
+        Annotated[VolumeInput, Tag("volume")],
+        Annotated[MapInput, Tag("map")],
+        Annotated[NumberInput, Tag("thickness")],
+    ],
+    Discriminator(kind_of_input),
+]
+
+
+class Layer(Table):
+    """Where the layer lies in the maps, and whether these are registered to each other."""
+
+    extent: Extent | None = None
+    registration: bool = False
+
+
+class Material(Table):
+    """Mooney-Rivlin coefficients, kPa."""
+
+    c10: float
+    c01: float = 0.0
+    bulk_to_shear: float = 1e4
+
+
+class Friction(Table):
+    """Coulomb coefficients of both sides of the layer."""
+
+    window: Coefficient
+    sample: Coefficient
+
+
+class Grid(Table):
+    """The finite elements and their solver."""
+
+    element_size: Positive | Three
+    edges: Literal["free", "roller", "padded"] = "free"
+    imprint_smoothing: Annotated[float, Field(ge=0)] | None = None
+    solver: Literal["auto", "multigrid", "direct"] = "auto"
+    threads: Annotated[int, Field(ge=1)] | None = None
+
+
+class Outputs(Table):
+    """The result folder and what is written besides the results themselves."""
+
+    folder: Text | None = None
+    write: Annotated[tuple[Picture, ...], Strict(False)] = ("panel", "vtk", "profiles", "report")
+
+
+class Study(Table):
+    """A validated study file; made by :func:`read_study`."""
+
+    title: Text | None = None
+    volumes: Volumes = Volumes()
+    unloaded: Unloaded
+    loaded: Loaded
+    layer: Layer = Layer()
+    material: Material
+    friction: Friction
+    grid: Grid
+    outputs: Outputs = Outputs()
+    _file: Path = PrivateAttr()
+
+    @property
+    def file(self) -> Path:
+        """The study file."""
+        return self._file
+
+    @property
+    def folder(self) -> Path:
+        """The result folder; by default named after the study file, beside it."""
+        return self.path(self.outputs.folder or f"{self._file.stem}-results")
+
+    @property
+    def inputs(self) -> dict[str, VolumeInput | MapInput]:
+        """The inputs that are files, by ``unloaded`` and ``loaded``."""
+        both = {"unloaded": self.unloaded, "loaded": self.loaded}
+        return {side: it for side, it in both.items() if not isinstance(it, NumberInput)}
+
+    def path(self, name: str) -> Path:
+        """A path that the file names, which counts from the folder of the file."""
+        return self._file.parent / name

@@ -1,0 +1,267 @@
+"""The stages of a study: boundaries, thickness, stress by both methods, and what is made of it.
+
+Every stage reads files and writes one. What comes from memory and what comes from an earlier run
+is therefore the same to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation import present
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation import algebraic_result, computational_stress
+from optical_palpation.palpation.result import StressResult
+from optical_palpation.study.inputs import by_side, find_boundaries, finding, open_input
+from optical_palpation.study.record import Progress, Stage, Tell
+from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
+from optical_palpation.study.script import reproducing_lines
+from optical_palpation.thickness import (
+    clean_thickness,
+    lateral_shift,
+    match_initial_thickness,
+    read_thickness_map,
+    shift_map,
+    thickness_map,
+    write_thickness_map,
+)
+
+THICKNESS, ALGEBRAIC, STRESS = "thickness.nc", "algebraic.nc", "stress.nc"
+_NOTABLE_FILLED = 0.02
+_NOTABLE_IMBALANCE = 0.01
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Makers of the files of a study's result folder."""
+
+    study: Study
+
+    def plan(self, inputs: Mapping[str, Mapping[str, Any]], thickness_only: bool) -> list[Stage]:
+        """List the stages in the order in which they are made.
+
+        Parameters
+        ----------
+        inputs
+            Facts about the input files, by ``unloaded`` and ``loaded``.
+        thickness_only
+            Leave out everything after the thickness.
+        """
+        study = self.study
+        stages, found = [], []
+        for side in by_side(study):
+            found.append(f"boundaries-{side}.nc")
+            stages.append(Stage(found[-1], inputs[side], (), self._boundaries(side)))
+            picture = f"boundaries-{side}.png"
+            stages.append(Stage(picture, inputs[side], found[-1:], self._picture(side)))
+        facts: dict[str, Any] = {"layer": study.layer.model_dump(mode="json")}
+        facts |= {side: inputs[side] for side in inputs if side not in by_side(study)}
+        if isinstance(study.unloaded, NumberInput):
+            facts["unloaded"] = study.unloaded.thickness
+        stages.append(Stage(THICKNESS, facts, found, self._thickness))
+        if thickness_only:
+            return stages
+        tables = {
+            name: getattr(study, name).model_dump(mode="json")
+            for name in ("material", "friction", "grid")
+        }
+        stages.append(
+            Stage(ALGEBRAIC, {"material": tables["material"]}, [THICKNESS], self._algebraic)
+        )
+        stages.append(Stage(STRESS, tables, [THICKNESS], self._computational))
+        everything = study.model_dump(mode="json", exclude={"outputs"})
+        makers = {
+            "panel": Stage("stress.png", {}, [STRESS], _from_result(present.write_panel)),
+            "vtk": Stage("layer.vts", {}, [STRESS], _from_result(present.write_vtk)),
+            "profiles": Stage("profiles.csv", {}, [STRESS], _from_result(present.write_profiles)),
+            "report": Stage("report.html", everything, [*found, THICKNESS, STRESS], self._report),
+        }
+        return stages + [makers[kind] for kind in makers if kind in study.outputs.write]
+
+    def _boundaries(self, side: str) -> Any:
+        source = by_side(self.study)[side]
+        fixes = self.study.path(source.corrections) if source.corrections else None
+
+        def make(path: Path, tell: Tell) -> None:
+            def share(done: float) -> None:
+                tell(Progress(f"boundaries of the {side} layer", done))
+
+            share(0.0)
+            with open_input(self.study, source) as volume:
+                found = find_boundaries(volume, finding(source), fixes, share)
+                write_thickness_map(found, path)
+
+        return make
+
+    def _picture(self, side: str) -> Any:
+        def make(path: Path, tell: Tell) -> None:
+            tell(Progress(f"picture of the {side} layer", 0.0))
+            with open_input(self.study, by_side(self.study)[side]) as volume:
+                found = xr.load_dataset(path.with_suffix(".nc"), engine="h5netcdf")
+                present.write_boundaries_figure(found, volume, path)
+
+        return make
+
+    def _measured(
+        self, source: VolumeInput | MapInput, boundaries: Path, extent: Any
+    ) -> tuple[xr.DataArray, xr.DataArray | None]:
+        """Thickness as measured, NaN where it was not, and its quality where there is one."""
+        if isinstance(source, MapInput):
+            given = source.model_dump(exclude={"map"})
+            return read_thickness_map(
+                self.study.path(source.map), layer_extent=extent, **given
+            ), None
+        found = xr.load_dataset(boundaries, engine="h5netcdf")
+        seen = found["thickness"].where(~found["filled"])
+        measured = thickness_map(seen, x=found["x"], y=found["y"], layer_extent=extent)
+        measured.attrs |= {key: found.attrs[key] for key in ("source", "source_sha256")}
+        return measured, found["quality"]
+
+    def _thickness(self, path: Path, tell: Tell) -> None:
+        """Write loaded and initial thickness on the pixels of the loaded map, without gaps."""
+        tell(Progress("thickness", 0.0))
+        study = self.study
+        extent = study.layer.extent
+        loaded, quality = self._measured(
+            study.loaded, path.with_name("boundaries-loaded.nc"), extent
+        )
+        cleaned = clean_thickness(loaded)
+        attrs = dict(cleaned.attrs)
+        here = {"y": loaded["y"], "x": loaded["x"]}
+        if isinstance(study.unloaded, NumberInput):
+            initial: Any = study.unloaded.thickness
+            made_up = xr.zeros_like(cleaned["filled"])
+            source = {}
+        else:
+            other = path.with_name("boundaries-unloaded.nc")
+            unloaded, _ = self._measured(study.unloaded, other, None)
+            source = {k: v for k, v in unloaded.attrs.items() if k.startswith("source")}
+            if study.layer.registration:
+                shift = lateral_shift(loaded, unloaded)
+                unloaded = shift_map(unloaded, shift)
+                attrs["registration_shift_mm"] = list(shift)  # y, x
+            whole = clean_thickness(unloaded)
+            initial = whole["thickness"]
+            made_up = whole["filled"].reindex(here, method="nearest")
+        matched = match_initial_thickness(initial, cleaned["thickness"])
+        matched.attrs |= source
+        result = xr.Dataset(
+            {
+                "loaded_thickness": cleaned["thickness"],
+                "filled": cleaned["filled"],
+                "initial_thickness": matched,
+                "initial_filled": made_up,
+            },
+            attrs=attrs | {"initial_filled_share": float(made_up.mean())},
+        )
+        if quality is not None:
+            result["quality"] = quality.where(~cleaned["filled"].values, 0.0)
+        write_thickness_map(result, path)
+
+    def _stress_of(self, thickness: xr.Dataset, result: StressResult) -> StressResult:
+        """Let what is known about the thickness go with the stress."""
+        maps = result.maps
+        here = {axis: maps[axis] for axis in "yx"}
+        for name in ("filled", "quality"):
+            if name in thickness:
+                maps[name] = thickness[name].reindex(here, method="nearest")
+        maps.attrs |= thickness.attrs
+        for key, value in thickness["initial_thickness"].attrs.items():
+            if key.startswith("source"):
+                maps.attrs[key.replace("source", "initial_thickness_input")] = value
+        return result
+
+    def _algebraic(self, path: Path, tell: Tell) -> None:
+        tell(Progress("algebraic stress", 0.0))
+        thickness = xr.load_dataset(path.with_name(THICKNESS), engine="h5netcdf")
+        result = algebraic_result(
+            thickness["loaded_thickness"],
+            thickness["initial_thickness"],
+            MooneyRivlin(**self.study.material.model_dump()),
+        )
+        present.write_result(self._stress_of(thickness, result), path)
+
+    def _computational(self, path: Path, tell: Tell) -> None:
+        study = self.study
+        thickness = xr.load_dataset(path.with_name(THICKNESS), engine="h5netcdf")
+        result = computational_stress(
+            thickness["loaded_thickness"],
+            thickness["initial_thickness"],
+            MooneyRivlin(**study.material.model_dump()),
+            window_friction=study.friction.window,
+            sample_friction=study.friction.sample,
+            progress=tell,
+            **study.grid.model_dump(),
+        )
+        present.write_result(self._stress_of(thickness, result), path)
+
+    def _report(self, path: Path, tell: Tell) -> None:
+        from optical_palpation.present.report import write_report
+
+        tell(Progress("report", 0.0))
+        thickness = xr.load_dataset(path.with_name(THICKNESS), engine="h5netcdf")
+        layers: dict[str, xr.Dataset | None] = {"loaded": None, "unloaded": None}
+        for side, name in (("loaded", "loaded"), ("unloaded", "initial")):
+            if isinstance(self.study.inputs.get(side), MapInput):
+                filled = "filled" if side == "loaded" else "initial_filled"
+                layers[side] = xr.Dataset(
+                    {"thickness": thickness[f"{name}_thickness"], "filled": thickness[filled]}
+                )
+        result = present.read_result(path.with_name(STRESS))
+        with ExitStack() as opened:
+            volumes = {}
+            for side, source in by_side(self.study).items():
+                volumes[side] = opened.enter_context(open_input(self.study, source))
+                found = path.with_name(f"boundaries-{side}.nc")
+                layers[side] = xr.load_dataset(found, engine="h5netcdf")
+            write_report(
+                path,
+                result,
+                **layers,
+                volumes=volumes or None,
+                parameters=self.study.model_dump(mode="json", exclude_none=True),
+                python=reproducing_lines(self.study),
+                title=self.study.title or self.study.file.stem,
+                warnings=warnings_about(result),
+            )
+
+
+def _from_result(write: Any) -> Any:
+    """Make a stage of a writer of results."""
+
+    def make(path: Path, tell: Tell) -> None:
+        tell(Progress(path.name, 0.0))
+        write(present.read_result(path.with_name(STRESS)), path)
+
+    return make
+
+
+def warnings_about(result: StressResult) -> list[str]:
+    """Say in plain words what casts doubt on a result, beyond what its summary says."""
+    attrs = result.maps.attrs
+    said = []
+    for key, which in (("filled_share", "loaded"), ("initial_filled_share", "unloaded")):
+        if (share := attrs.get(key, 0.0)) > _NOTABLE_FILLED:
+            said.append(
+                f"{share:.1%} of the {which} thickness could not be measured and was filled from "
+                "around: look at the boundaries before you trust the stress there"
+            )
+    if "registration_shift_mm" in attrs:
+        y, x = np.ravel(attrs["registration_shift_mm"])
+        said.append(
+            f"the unloaded map lay {x:+.3g} mm in x and {y:+.3g} mm in y off the loaded one and "
+            "was shifted back by that"
+        )
+    if (imbalance := attrs.get("force_balance", 0.0)) > _NOTABLE_IMBALANCE:
+        said.append(
+            f"the forces at window and sample differ by {imbalance:.1%}: the solution is not in "
+            "equilibrium"
+        )
+    return said
