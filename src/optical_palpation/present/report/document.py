@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import xarray as xr
 
+from optical_palpation.errors import InputError, OutputError
+from optical_palpation.files import check_target, replacing
 from optical_palpation.palpation.result import StressResult
+from optical_palpation.present.output import provenance
+from optical_palpation.present.report import content
+from optical_palpation.present.report.bscans import draw_volume
+from optical_palpation.present.summary import summarise
 
 if TYPE_CHECKING:
+    from jinja2 import Environment
+    from markupsafe import Markup
+
     from optical_palpation.volume import Volume
+
+#: The script of the page; its files share one scope, so their order matters.
+SCRIPTS = ("data.js", "plot.js", "maps.js", "bscans.js", "profiles.js", "page.js")
+_MARK = "WARNING: "
 
 
 def write_report(
@@ -63,4 +80,65 @@ def write_report(
     OutputError
         If the file cannot be written.
     """
-    raise NotImplementedError
+    from jinja2 import Environment, PackageLoader
+    from markupsafe import Markup
+
+    path = Path(path)
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise OutputError(f"{path}: the report needs a name that ends in .html or .htm")
+    check_target(path)
+    layers = {"unloaded": unloaded, "loaded": loaded}
+    scans, projections = {}, {}
+    for state, volume in sorted((volumes or {}).items(), reverse=True):
+        if state not in layers:
+            raise InputError(f"volumes: {state!r} is neither 'loaded' nor 'unloaded'")
+        scans[state], projections[state] = draw_volume(volume, layers[state], state)
+    data = content.map_entries(result, loaded, unloaded, projections)
+    data["convergence"] = content.convergence_rows(result)
+
+    summary = summarise(result).splitlines()
+    cautions = [line.removeprefix(_MARK) for line in summary if line.startswith(_MARK)]
+    environment = Environment(loader=PackageLoader(__package__, "templates"), autoescape=True)
+    script, style = (
+        Markup("\n".join(_template(environment, name) for name in names))
+        for names in (SCRIPTS, ["report.css"])
+    )
+    page = environment.get_template("report.html").stream(
+        title=title,
+        version=version("optical-palpation"),
+        script=script,
+        script_hash=_hash(script),
+        style=style,
+        style_hash=_hash(style),
+        data=_json(data),
+        scans={state: _json(entry) for state, entry in scans.items()},
+        warnings=[*warnings, *cautions],
+        figures=content.key_figures(result, loaded, unloaded),
+        forces=content.force_rows(result),
+        stress=content.stress_rows(result),
+        convergence=data["convergence"],
+        parameters=content.parameter_sections(parameters),
+        record=content.parameter_sections(
+            {k: v for k, v in provenance(result.maps).items() if k != "convergence"}
+        ),
+        python=python,
+    )
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        page.dump(file, encoding="utf-8", errors="replace")
+
+
+def _template(environment: Environment, name: str) -> str:
+    assert environment.loader is not None
+    return environment.loader.get_source(environment, name)[0].strip()
+
+
+def _hash(code: str) -> str:
+    """Fingerprint by which the page's policy lets its own code run, and none that slips in."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(code.encode()).digest()).decode()
+
+
+def _json(data: object) -> Markup:
+    """JSON that can stand in a script element: nothing in it can end the element."""
+    from markupsafe import Markup
+
+    return Markup(json.dumps(data, allow_nan=False).replace("<", "\\u003c"))

@@ -1,0 +1,212 @@
+"""What the page shows: its maps with their colour scales, and its figures in words."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.present.profiles import on_layer
+from optical_palpation.present.report.maps import encode_map, limits
+
+METHODS = {"algebraic": "algebraic_axial_stress", "computational": "axial_stress"}
+
+
+def methods(result: StressResult) -> dict[str, xr.DataArray]:
+    """Axial stress, kPa, by each method that the result has."""
+    maps = on_layer(result.maps)
+    # The algebraic method alone fills both variables with the same, and has no contact pressure.
+    names = METHODS if "contact_pressure" in maps else {"algebraic": "axial_stress"}
+    return {method: maps[name] for method, name in names.items()}
+
+
+def thicknesses(
+    result: StressResult, loaded: xr.Dataset | None, unloaded: xr.Dataset | None
+) -> dict[str, xr.DataArray]:
+    """Thickness, mm, in each state that there is a map of."""
+    found = {} if unloaded is None else {"unloaded": unloaded["thickness"]}
+    seen = on_layer(result.maps)["loaded_thickness"] if loaded is None else loaded["thickness"]
+    return {**found, "loaded": seen}
+
+
+def map_entries(
+    result: StressResult,
+    loaded: xr.Dataset | None,
+    unloaded: xr.Dataset | None,
+    projections: Mapping[str, xr.DataArray],
+) -> dict[str, Any]:
+    """Maps, masks of filled pixels, colour scales and profiles for the page's data."""
+    maps = on_layer(result.maps)
+    stress, thickness = methods(result), thicknesses(result, loaded, unloaded)
+    shown: dict[str, Any] = {}
+    masks: dict[str, Any] = {}
+    layers = {"unloaded": unloaded, "loaded": loaded}
+
+    def show(key: str, group: str, title: str, scale: str, field: xr.DataArray, **more: Any) -> None:
+        digits = more.pop("digits", 4)
+        entry = {"group": group, "title": title, "scale": scale, **more}
+        shown[key] = entry | encode_map(field, digits)
+
+    for state, layer in layers.items():
+        if layer is not None and "filled" in layer:
+            masks[state] = encode_map(layer["filled"])
+    if "filled" in maps:
+        masks["result"] = encode_map(maps["filled"].fillna(0).astype(bool))
+    of_stress = "result" if "result" in masks else "loaded"
+
+    for method, field in stress.items():
+        show(method, "stress", f"Axial stress, {method}", "stress", field, mask=of_stress)
+    sides = {"contact_state": "sample", "window_contact_state": "window"}
+    for name, side in sides.items():
+        if name in maps:
+            show(name, "stress", f"Contact with the {side}", "contact", maps[name])
+    for state, field in thickness.items():
+        mask = of_stress if layers[state] is None else state
+        show(f"{state}-thickness", "layer", f"{state.title()} thickness", "thickness", field,
+             mask=mask)  # fmt: skip
+    for state, layer in layers.items():
+        if layer is not None and "quality" in layer:
+            title = f"Quality, {state}"
+            show(f"{state}-quality", "layer", title, "quality", layer["quality"], mask=state,
+                 digits=2)  # fmt: skip
+    for state, field in projections.items():
+        title = f"Maximum intensity, {state}"
+        show(f"{state}-projection", "layer", title, f"{state} signal", field, digits=2)
+
+    scales = {
+        "stress": _scale("viridis_r", "kPa", *limits(*stress.values())),
+        "thickness": _scale("cividis", "mm", *limits(*thickness.values())),
+        "quality": _scale("cividis", "", 0.0, 1.0),
+        **{
+            f"{state} signal": _scale("gray", "dB", *limits(field))
+            for state, field in projections.items()
+        },
+    }
+    return {
+        "maps": shown,
+        "masks": masks,
+        "scales": scales,
+        "colours": {s["colours"]: _colours(s["colours"]) for s in scales.values()},
+        "profiles": {
+            "stress": {
+                "label": "axial stress (kPa)",
+                "range": limits(*stress.values(), share=0.1),
+                "maps": list(stress),
+            },
+            "layer": {
+                "label": "thickness (mm)",
+                "range": limits(*thickness.values(), share=0.1),
+                "maps": [f"{state}-thickness" for state in thickness],
+            },
+        },
+        "states": {int(s): s.name.lower() for s in ContactState},
+    }
+
+
+def _scale(colours: str, units: str, low: float, high: float) -> dict[str, Any]:
+    return {"colours": colours, "units": units, "low": low, "high": high}
+
+
+def _colours(name: str) -> str:
+    """256 colours as hexadecimal digits."""
+    from matplotlib import colormaps
+
+    return (colormaps[name](np.arange(256), bytes=True)[:, :3]).tobytes().hex()
+
+
+def force_rows(result: StressResult) -> list[tuple[str, str]]:
+    """Total forces and how well they balance."""
+    attrs = result.maps.attrs
+    rows = [
+        (f"Force on the {side}", f"{attrs[key]:.4g} mN")
+        for side in ("window", "sample")
+        if (key := f"{side}_force_mN") in attrs
+    ]
+    if "force_balance" in attrs:
+        rows.append(("Difference of the two", f"{100 * attrs['force_balance']:.2g} %"))
+    for method, stress in methods(result).items():
+        force = -float(stress.fillna(0.0).integrate(["y", "x"]))
+        rows.append((f"Integral of the {method} map", f"{force:.4g} mN"))
+    return rows
+
+
+def stress_rows(result: StressResult) -> list[tuple[str, ...]]:
+    """Method, mean, the percentile that the most compressed 1 % lies below, and the lowest."""
+    return [
+        (method, *(f"{v:.4g}" for v in _statistics(stress)))
+        for method, stress in methods(result).items()
+    ]
+
+
+def _statistics(stress: xr.DataArray) -> tuple[float, ...]:
+    values = stress.values[np.isfinite(stress.values)]
+    if values.size == 0:
+        return (np.nan,) * 3
+    return float(values.mean()), float(np.percentile(values, 1)), float(values.min())
+
+
+def key_figures(
+    result: StressResult, loaded: xr.Dataset | None, unloaded: xr.Dataset | None
+) -> list[tuple[str, str]]:
+    """The numbers that a reader wants first."""
+    attrs, maps = result.maps.attrs, on_layer(result.maps)
+    figures = []
+    if "sample_force_mN" in attrs:
+        figures.append(("Force on the sample", f"{attrs['sample_force_mN']:.4g} mN"))
+    for method, stress in methods(result).items():
+        figures.append((f"Mean stress, {method}", f"{_statistics(stress)[0]:.4g} kPa"))
+    touching = float(np.mean(maps["contact_state"].values != ContactState.OPEN))
+    figures.append(("In contact", f"{touching:.1%} of the map"))
+    thickness = thicknesses(result, loaded, unloaded)
+    if "unloaded" not in thickness and "initial_thickness_mm" in attrs:
+        figures.append(("Unloaded thickness, given", f"{attrs['initial_thickness_mm']:.4g} mm"))
+    for state, field in thickness.items():
+        figures.append((f"{state.title()} thickness, median", f"{float(field.median()):.4g} mm"))
+    for state, layer in (("loaded", loaded), ("unloaded", unloaded)):
+        if layer is not None and "filled" in layer:
+            figures.append((f"Filled pixels, {state}", f"{float(layer['filled'].mean()):.2%}"))
+    return figures
+
+
+def convergence_rows(result: StressResult) -> list[dict[str, Any]]:
+    """Steps of the solution: elements, share of the load reached, Newton iterations."""
+    record = result.maps.attrs.get("convergence", "[]")
+    return json.loads(record) if isinstance(record, str) else []
+
+
+def parameter_sections(parameters: Mapping[str, object]) -> list[tuple[str, list[tuple[str, str]]]]:
+    """Parameters as text; a mapping within becomes a section, one within that dotted names."""
+    plain: list[tuple[str, str]] = []
+    sections = [("", plain)]
+    for name, value in parameters.items():
+        if isinstance(value, Mapping):
+            sections.append((str(name), _flat(value)))
+        else:
+            plain.append((str(name), _text(value)))
+    return [section for section in sections if section[1]]
+
+
+def _flat(parameters: Mapping[str, object], prefix: str = "") -> list[tuple[str, str]]:
+    rows = []
+    for name, value in parameters.items():
+        if isinstance(value, Mapping):
+            rows += _flat(value, f"{prefix}{name}.")
+        else:
+            rows.append((f"{prefix}{name}", _text(value)))
+    return rows
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return "not given"
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, float | np.floating):
+        return f"{value:.10g}"
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return ", ".join(_text(v) for v in value)
+    return str(value)

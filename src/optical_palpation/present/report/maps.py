@@ -1,0 +1,97 @@
+"""Maps as text for a page: kept to four digits, compressed, on evenly spaced pixels."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+#: Pixels along the longer side; of larger maps every second (third, ...) pixel is kept.
+LARGEST = 640
+
+
+def stride(pixels: int, largest: int = LARGEST) -> int:
+    """Return the step by which `pixels` are thinned to no more than `largest`."""
+    return -(-pixels // largest)
+
+
+def encode_map(field: xr.DataArray, digits: int = 4) -> dict[str, Any]:
+    """Return a map with its coordinates as an entry of the page's data.
+
+    Parameters
+    ----------
+    field
+        Map on ``(y, x)``; whole numbers and logicals stay as they are (one byte each), other
+        numbers are rounded. What is not finite becomes NaN.
+    digits
+        Significant digits that are kept.
+    """
+    field = _evenly(field.transpose("y", "x").sortby(["y", "x"]))
+    whole = field.dtype.kind in "bui"
+    values = field.values.astype(np.uint8) if whole else field.values
+    return {
+        "shape": list(field.shape),
+        "y": _axis(field["y"].values),
+        "x": _axis(field["x"].values),
+        **(encode_bytes(values) if whole else encode_floats(values, digits)),
+    }
+
+
+def encode_bytes(values: NDArray[Any]) -> dict[str, str]:
+    """Encode whole numbers from 0 to 255."""
+    return {"type": "u1", "data": _packed(values.astype(np.uint8).tobytes())}
+
+
+def encode_floats(values: NDArray[Any], digits: int) -> dict[str, str]:
+    """Encode numbers in single precision, rounded so that they compress.
+
+    The bits that carry no significant digit are set to zero, and the bytes are sorted by
+    significance: equal bytes stand together.
+    """
+    single = np.where(np.isfinite(values), values, np.nan).astype(np.float32)
+    superfluous = 23 - int(np.ceil(digits * np.log2(10)))
+    bits = single.view(np.uint32)
+    rounded = (bits + np.uint32(1 << (superfluous - 1))) & np.uint32(-(1 << superfluous) % 2**32)
+    rounded = np.where(np.isnan(single), np.uint32(0x7FC00000), rounded)
+    shuffled = rounded.astype("<u4").reshape(-1, 1).view(np.uint8).T
+    return {"type": "f4", "data": _packed(shuffled.tobytes())}
+
+
+def limits(*fields: xr.DataArray, share: float = 1.0) -> tuple[float, float]:
+    """Return common colour limits: what all but `share` percent at either end lie between."""
+    values = np.concatenate([f.values.ravel() for f in fields])
+    values = values[np.isfinite(values)].astype(float)
+    if values.size == 0:
+        return 0.0, 1.0
+    low, high = (float(v) for v in np.percentile(values, [share, 100.0 - share]))
+    if high - low <= 1e-6 * max(abs(low), abs(high)):
+        # One colour for a constant map, and a scale that can be read.
+        margin = 0.05 * abs(high) or 1.0
+        return low - margin, high + margin
+    return low, high
+
+
+def _evenly(field: xr.DataArray) -> xr.DataArray:
+    """Every n-th pixel, and where they are not evenly spaced, the nearest to places that are."""
+    thin = {axis: slice(None, None, stride(field.sizes[axis])) for axis in ("y", "x")}
+    field = field.isel(thin)
+    for axis in ("y", "x"):
+        at = field[axis].values
+        even = np.linspace(at[0], at[-1], at.size)
+        if at.size > 1 and np.max(np.abs(at - even)) > 1e-3 * abs(even[1] - even[0]):
+            field = field.sel({axis: even}, method="nearest").assign_coords({axis: even})
+    return field
+
+
+def _axis(at: NDArray[Any]) -> list[float]:
+    """First position and step, mm; a single pixel is taken to be a tenth of a millimetre wide."""
+    step = (at[-1] - at[0]) / (at.size - 1) if at.size > 1 else 0.1
+    return [float(at[0]), float(step)]
+
+
+def _packed(content: bytes) -> str:
+    return base64.b64encode(zlib.compress(content, 9)).decode("ascii")

@@ -1,0 +1,86 @@
+// The page's data: JSON, in which maps are packed as pixels, compressed, in base64.
+
+const data = JSON.parse(document.getElementById("data").textContent);
+
+async function unpack(text) {
+  const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const plain = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Uint8Array(await new Response(plain).arrayBuffer());
+}
+
+// Numbers of four bytes come sorted by the bytes' significance, lowest first.
+async function numbers({ type, data }) {
+  const bytes = await unpack(data);
+  if (type === "u1") return bytes;
+  const n = bytes.length / 4;
+  const view = new DataView(new ArrayBuffer(4));
+  const values = new Float32Array(n);
+  for (let i = 0; i < n; i++) {
+    for (let k = 0; k < 4; k++) view.setUint8(k, bytes[k * n + i]);
+    values[i] = view.getFloat32(0, true);
+  }
+  return values;
+}
+
+const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
+
+// Values on evenly spaced pixels; positions in mm.
+class Grid {
+  static async from(entry) {
+    const grid = new Grid();
+    [grid.ny, grid.nx] = entry.shape;
+    [grid.y0, grid.dy] = entry.y;
+    [grid.x0, grid.dx] = entry.x;
+    grid.values = await numbers(entry);
+    return grid;
+  }
+
+  get extent() {
+    const { x0, dx, nx, y0, dy, ny } = this;
+    return { x: [x0 - dx / 2, x0 + (nx - 0.5) * dx], y: [y0 - dy / 2, y0 + (ny - 0.5) * dy] };
+  }
+
+  column(x) {
+    return Math.round((x - this.x0) / this.dx);
+  }
+
+  row(y) {
+    return Math.round((y - this.y0) / this.dy);
+  }
+
+  // NaN outside.
+  at(x, y) {
+    const i = this.column(x);
+    const j = this.row(y);
+    return i < 0 || j < 0 || i >= this.nx || j >= this.ny ? NaN : this.values[j * this.nx + i];
+  }
+
+  // Values along an axis through a place: [position, value] pairs.
+  along(axis, place) {
+    const pairs = [];
+    const n = axis === "x" ? this.nx : this.ny;
+    for (let k = 0; k < n; k++) {
+      const at = axis === "x" ? this.x0 + k * this.dx : this.y0 + k * this.dy;
+      pairs.push([at, axis === "x" ? this.at(at, place.y) : this.at(place.x, at)]);
+    }
+    return pairs;
+  }
+}
+
+// Four digits, with the minus of print.
+function shown(value, units = "") {
+  if (!Number.isFinite(value)) return "no value";
+  const digits = Number(value.toPrecision(4)).toString().replace("-", "\u2212");
+  return units ? `${digits}\u202f${units}` : digits;
+}
+
+function millimetres(value) {
+  return `${value.toFixed(3).replace("-", "\u2212")}\u202fmm`;
+}
+
+function element(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}

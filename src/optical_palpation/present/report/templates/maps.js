@@ -1,0 +1,156 @@
+// Maps: colours on a canvas, hatching where pixels were filled, a colour bar and a read-out.
+
+const hatching = document.getElementById("hatch");
+
+const palettes = Object.fromEntries(
+  Object.entries(data.colours).map(([name, digits]) => [
+    name,
+    digits.match(/../g).map((pair) => parseInt(pair, 16)),
+  ]),
+);
+
+const style = getComputedStyle(document.documentElement);
+const ownColour = (name) => style.getPropertyValue(`--${name}`).trim();
+const bytesOf = (colour) => colour.match(/[0-9a-f]{2}/gi).map((pair) => parseInt(pair, 16));
+
+class MapPlot extends Plot {
+  constructor(entry, grid, mask, field) {
+    const [x, y] = [field.x, field.y];
+    // True proportions, unless the field is a strip.
+    const aspect = clamp((y[1] - y[0]) / (x[1] - x[0]), 0.25, 1.6);
+    super(
+      { x: { range: x, label: "x (mm)" }, y: { range: y, label: "y (mm)" } },
+      (width) => aspect * width,
+      { x: "x", y: "y" },
+      entry.title,
+    );
+    Object.assign(this, { entry, grid, mask, scale: data.scales[entry.scale] });
+    this.output = element("output");
+    const caption = element("figcaption", {}, element("span", {}, entry.title), this.output);
+    this.figure = element("figure", {}, caption, this.host, this.scale ? this.bar() : this.legend());
+    this.image = this.draw(grid, this.scale ? this.shades() : this.states());
+    this.filled = mask && this.draw(mask, (value) => (value ? [0, 0, 0] : null));
+  }
+
+  step(axis) {
+    return axis === "x" ? this.grid.dx : this.grid.dy;
+  }
+
+  value() {
+    const value = this.grid.at(cursor.x, cursor.y);
+    const name = this.scale ? shown(value, this.scale.units) : (data.states[value] ?? "no value");
+    return this.mask && this.mask.at(cursor.x, cursor.y) === 1 ? `${name} (filled)` : name;
+  }
+
+  spoken() {
+    return `${super.spoken()}, ${this.entry.title} ${this.value()}`;
+  }
+
+  follow() {
+    this.output.textContent = this.value();
+    this.overlay.replaceChildren(...this.cross());
+  }
+
+  shades() {
+    const { low, high, colours } = this.scale;
+    const palette = palettes[colours];
+    return (value) => {
+      if (!Number.isFinite(value)) return null;
+      const k = 3 * clamp(Math.floor((256 * (value - low)) / (high - low)), 0, 255);
+      return [palette[k], palette[k + 1], palette[k + 2]];
+    };
+  }
+
+  states() {
+    const colours = Object.fromEntries(
+      Object.entries(data.states).map(([k, name]) => [k, bytesOf(ownColour(name))]),
+    );
+    return (value) => colours[value] ?? null;
+  }
+
+  // One canvas pixel for each pixel of the map; y points up.
+  draw(grid, colour) {
+    const { nx, ny, values } = grid;
+    const pixels = new ImageData(nx, ny);
+    for (let j = 0; j < ny; j++) {
+      for (let i = 0; i < nx; i++) {
+        const rgb = colour(values[j * nx + i]);
+        if (!rgb) continue;
+        const at = 4 * ((ny - 1 - j) * nx + i);
+        pixels.data.set(rgb, at);
+        pixels.data[at + 3] = 255;
+      }
+    }
+    const canvas = element("canvas", { width: nx, height: ny });
+    canvas.getContext("2d").putImageData(pixels, 0, 0);
+    return { canvas, extent: grid.extent };
+  }
+
+  paint() {
+    const brush = this.canvas.getContext("2d");
+    brush.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this.lay(brush, this.image);
+    if (!this.filled || !hatching.checked) return;
+    const cover = element("canvas", { width: this.canvas.width, height: this.canvas.height });
+    const pen = cover.getContext("2d");
+    pen.fillStyle = pattern(pen);
+    pen.fillRect(0, 0, cover.width, cover.height);
+    pen.globalCompositeOperation = "destination-in";
+    this.lay(pen, this.filled);
+    brush.drawImage(cover, 0, 0);
+  }
+
+  // Put an image where it lies in the frame.
+  lay(brush, { canvas, extent }) {
+    const dense = this.canvas.width / this.width;
+    const left = (this.toX(extent.x[0]) - MARGIN.left) * dense;
+    const top = (this.toY(extent.y[1]) - MARGIN.top) * dense;
+    const width = (this.toX(extent.x[1]) - MARGIN.left) * dense - left;
+    const height = (this.toY(extent.y[0]) - MARGIN.top) * dense - top;
+    brush.imageSmoothingEnabled = width < canvas.width;
+    brush.imageSmoothingQuality = "high";
+    brush.drawImage(canvas, left, top, width, height);
+  }
+
+  bar() {
+    const { low, high, units, colours } = this.scale;
+    const palette = palettes[colours];
+    const stops = [];
+    for (let k = 0; k < 256; k += 15) stops.push(`rgb(${palette.slice(3 * k, 3 * k + 3)})`);
+    const strip = element("i");
+    strip.style.background = `linear-gradient(to right, ${stops})`;
+    const ends = [low, (low + high) / 2, high].map((v) => element("span", {}, shown(v, units)));
+    const label = `Colours from ${shown(low, units)} to ${shown(high, units)}`;
+    return element("div", { class: "colours", role: "img", "aria-label": label }, strip, ...ends);
+  }
+
+  legend() {
+    const counts = {};
+    for (const value of this.grid.values) counts[value] = (counts[value] ?? 0) + 1;
+    const items = Object.entries(data.states).map(([k, name]) => {
+      const share = (100 * (counts[k] ?? 0)) / this.grid.values.length;
+      const swatch = element("i", { class: `swatch ${name}` });
+      return element("span", {}, swatch, `${name} ${share.toFixed(1)}\u202f%`);
+    });
+    return element("div", { class: "legend" }, ...items);
+  }
+}
+
+// Diagonal lines in the colour of filled pixels, over a tint of it that marks single pixels, too.
+function pattern(pen) {
+  const size = 8;
+  const tile = element("canvas", { width: size, height: size });
+  const brush = tile.getContext("2d");
+  brush.fillStyle = brush.strokeStyle = ownColour("filled");
+  brush.globalAlpha = 0.3;
+  brush.fillRect(0, 0, size, size);
+  brush.globalAlpha = 1;
+  brush.lineWidth = 2;
+  for (const shift of [-size, 0, size]) {
+    brush.beginPath();
+    brush.moveTo(shift - 1, -1);
+    brush.lineTo(shift + size + 1, size + 1);
+    brush.stroke();
+  }
+  return pen.createPattern(tile, "repeat");
+}

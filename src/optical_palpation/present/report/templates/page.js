@@ -1,0 +1,104 @@
+// Puts the page together and links its parts through the cursor.
+
+async function build() {
+  const grids = await decoded(data.maps);
+  const masks = await decoded(data.masks);
+  const field = { x: span(grids, "x"), y: span(grids, "y") };
+  cursor.limits = field;
+
+  const plots = Object.entries(data.maps).map(([name, entry]) => {
+    const plot = new MapPlot(entry, grids[name], masks[entry.mask], field);
+    plot.figure.dataset.map = name;
+    document.querySelector(`[data-group="${entry.group}"]`).append(plot.figure);
+    return plot;
+  });
+  for (const [group, profile] of Object.entries(data.profiles)) {
+    const place = document.querySelector(`[data-profile="${group}"]`);
+    for (const axis of ["x", "y"]) {
+      place.append(new ProfilePlot(axis, profile, grids, field).figure);
+    }
+  }
+  if (data.convergence.length) {
+    document.querySelector(".convergence").append(new ConvergencePlot(data.convergence).figure);
+  }
+  const blocks = [...document.querySelectorAll("script.scan")];
+  const scans = await Promise.all(blocks.map((block) => ScanPlot.from(block)));
+  if (scans.length) linkScans(scans);
+  linkBar(plots, Object.keys(masks).length > 0);
+  cursor.move({ x: middle(grids[data.profiles.stress.maps[0]].extent.x),
+                y: middle(grids[data.profiles.stress.maps[0]].extent.y) }); // prettier-ignore
+}
+
+const middle = ([low, high]) => (low + high) / 2;
+
+async function decoded(entries) {
+  const pairs = Object.entries(entries).map(async ([name, entry]) => [name, await Grid.from(entry)]);
+  return Object.fromEntries(await Promise.all(pairs));
+}
+
+function span(grids, axis) {
+  const extents = Object.values(grids).map((grid) => grid.extent[axis]);
+  return [Math.min(...extents.map((e) => e[0])), Math.max(...extents.map((e) => e[1]))];
+}
+
+function linkScans(scans) {
+  document.querySelector(".scans").append(...scans.map((plot) => plot.figure));
+  const slider = document.getElementById("slice");
+  const label = document.getElementById("slice-text");
+  const main = scans.at(-1); // the loaded volume, if there is one
+  slider.max = main.entry.y.length - 1;
+  slider.addEventListener("input", () => cursor.move({ y: main.entry.y[slider.value] }));
+  cursor.listeners.push(() => {
+    const index = main.nearest(cursor.y);
+    if (Number(slider.value) !== index) slider.value = index;
+    label.textContent = `y ${millimetres(main.entry.y[index])}`;
+    slider.setAttribute("aria-valuetext", `B-scan ${main.output.textContent}`);
+  });
+  for (const input of [boundaries, zoomed]) {
+    input.addEventListener("change", () => scans.forEach((plot) => plot.redraw()));
+  }
+  if (!scans.some((plot) => plot.entry.lines.window)) {
+    boundaries.parentElement.hidden = zoomed.parentElement.hidden = true;
+    document.getElementById("lines-legend").hidden = true;
+  }
+}
+
+function linkBar(plots, masked) {
+  document.getElementById("bar").addEventListener("submit", (event) => event.preventDefault());
+  for (const axis of ["x", "y"]) {
+    const input = document.getElementById(`cursor-${axis}`);
+    input.addEventListener("change", () => {
+      if (input.value.trim() && Number.isFinite(input.valueAsNumber)) {
+        cursor.move({ [axis]: input.valueAsNumber });
+      } else {
+        input.value = cursor[axis].toFixed(3);
+      }
+    });
+    cursor.listeners.push(() => (input.value = cursor[axis].toFixed(3)));
+  }
+  document.getElementById("hatch-label").hidden = !masked;
+  hatching.addEventListener("change", () => plots.forEach((plot) => plot.paint()));
+}
+
+const copy = document.getElementById("copy");
+copy.addEventListener("click", async () => {
+  const code = document.getElementById("code");
+  try {
+    await navigator.clipboard.writeText(code.textContent);
+    copy.textContent = "Copied";
+  } catch {
+    // Where the page may not write to the clipboard, the reader can.
+    getSelection().selectAllChildren(code);
+    copy.textContent = "Selected: now copy it";
+  }
+});
+
+try {
+  await build();
+  document.documentElement.dataset.ready = "yes";
+} catch (error) {
+  const failed = document.getElementById("failed");
+  failed.textContent = `The maps cannot be drawn (${error}). They need a browser of 2023 or later.`;
+  failed.hidden = false;
+  console.error(error);
+}

@@ -1,0 +1,241 @@
+// A frame with axes in mm, and the cursor that all plots share.
+
+const cursor = {
+  x: 0,
+  y: 0,
+  limits: { x: [0, 1], y: [0, 1] },
+  listeners: [],
+  waiting: false,
+
+  // Moves at once; the plots follow with the next picture of the screen.
+  move({ x = this.x, y = this.y }) {
+    this.x = clamp(x, ...this.limits.x);
+    this.y = clamp(y, ...this.limits.y);
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame(() => {
+      this.waiting = false;
+      for (const listener of this.listeners) listener(this);
+    });
+  },
+};
+
+// What a screen reader says after the keys have rested for a moment.
+const speak = (() => {
+  const target = document.getElementById("spoken");
+  let timer;
+  return (text) => {
+    clearTimeout(timer);
+    timer = setTimeout(() => (target.textContent = text()), 300);
+  };
+})();
+
+function svg(name, attributes = {}) {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  return made;
+}
+
+// Round numbers within [low, high].
+function ticks(low, high, count) {
+  const rough = (high - low) / Math.max(count, 1);
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].find((m) => m * power >= rough * 0.999) * power;
+  const found = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) {
+    found.push(Number((k * step).toPrecision(12)));
+  }
+  return found;
+}
+
+const MARGIN = { left: 46, right: 10, top: 6, bottom: 36 };
+
+class Plot {
+  // axes: { x: {range, label}, y: {range, label, down} }; height(width): of the frame, in pixels;
+  // moves: what the horizontal and the vertical direction are to the cursor, "x", "y" or null.
+  constructor(axes, height, moves, label) {
+    this.axes = axes;
+    this.frameHeight = height;
+    this.moves = moves;
+    this.host = element("div", { class: "plot" });
+    this.canvas = element("canvas", { "aria-hidden": "true" });
+    this.svg = svg("svg", { "aria-hidden": "true" });
+    this.scenery = svg("g");
+    this.overlay = svg("g");
+    this.svg.append(this.scenery, this.overlay);
+    this.host.append(this.canvas, this.svg);
+    if (moves.x || moves.y) this.listen(label);
+    else this.host.classList.add("still");
+    new ResizeObserver(() => this.resize()).observe(this.host);
+    cursor.listeners.push(() => this.follow());
+  }
+
+  // Size of a pixel along an axis of the cursor, for the arrow keys.
+  step() {
+    return 0.01;
+  }
+
+  // For subclasses: what stands on the canvas, and what follows the cursor.
+  paint() {}
+  follow() {}
+  spoken() {
+    return `x ${millimetres(cursor.x)}, y ${millimetres(cursor.y)}`;
+  }
+
+  toX(value) {
+    const [low, high] = this.axes.x.range;
+    return MARGIN.left + ((value - low) / (high - low)) * this.width;
+  }
+
+  toY(value) {
+    const { range, down } = this.axes.y;
+    const share = (value - range[0]) / (range[1] - range[0]);
+    return MARGIN.top + (down ? share : 1 - share) * this.height;
+  }
+
+  resize() {
+    const whole = this.host.clientWidth;
+    if (whole <= MARGIN.left + MARGIN.right) return;
+    this.width = whole - MARGIN.left - MARGIN.right;
+    this.height = Math.round(this.frameHeight(this.width));
+    this.host.style.height = `${this.height + MARGIN.top + MARGIN.bottom}px`;
+    const dense = window.devicePixelRatio || 1;
+    Object.assign(this.canvas, {
+      width: Math.round(this.width * dense),
+      height: Math.round(this.height * dense),
+    });
+    Object.assign(this.canvas.style, {
+      left: `${MARGIN.left}px`,
+      top: `${MARGIN.top}px`,
+      width: `${this.width}px`,
+      height: `${this.height}px`,
+    });
+    this.redraw();
+  }
+
+  redraw() {
+    if (!this.width) return;
+    this.drawAxes();
+    this.paint();
+    this.follow();
+  }
+
+  drawAxes() {
+    const { x, y } = this.axes;
+    const { left, top } = MARGIN;
+    const bottom = top + this.height;
+    const parts = [];
+    for (const value of ticks(...x.range, clamp(this.width / 70, 2, 8))) {
+      const at = this.toX(value);
+      if (this.gridded) parts.push(line("grid", at, top, at, bottom));
+      parts.push(line("frame", at, bottom, at, bottom + 4), text(value, at, bottom + 16));
+    }
+    for (const value of ticks(...y.range, clamp(this.height / 45, 2, 8))) {
+      const at = this.toY(value);
+      if (this.gridded) parts.push(line("grid", left, at, left + this.width, at));
+      parts.push(line("frame", left - 4, at, left, at), text(value, left - 6, at + 4, "end"));
+    }
+    parts.push(
+      svg("rect", { class: "frame", x: left, y: top, width: this.width, height: this.height }),
+      text(x.label, left + this.width / 2, bottom + 31),
+      text(y.label, 0, 0, "middle", `translate(11 ${top + this.height / 2}) rotate(-90)`),
+    );
+    this.scenery.replaceChildren(...parts);
+  }
+
+  // Lines through the cursor, as far as it lies in the frame.
+  cross(style = "") {
+    const parts = [];
+    if (!this.width) return parts;
+    const { left, top } = MARGIN;
+    for (const [direction, axis] of Object.entries(this.moves)) {
+      if (!axis) continue;
+      const [low, high] = this.axes[direction].range;
+      if (cursor[axis] < low || cursor[axis] > high) continue;
+      const at = direction === "x" ? this.toX(cursor[axis]) : this.toY(cursor[axis]);
+      const ends =
+        direction === "x" ? [at, top, at, top + this.height] : [left, at, left + this.width, at];
+      if (!style) parts.push(line("halo", ...ends));
+      parts.push(line(`cursor ${style}`, ...ends));
+    }
+    return parts;
+  }
+
+  listen(label) {
+    const { host } = this;
+    for (const [key, value] of Object.entries({
+      tabindex: "0",
+      role: "application",
+      "aria-roledescription": "plot with a cursor",
+      "aria-label": label,
+      "aria-describedby": "keys",
+    })) {
+      host.setAttribute(key, value);
+    }
+    const go = (event) => {
+      const box = this.svg.getBoundingClientRect();
+      const shares = {
+        x: (event.clientX - box.left - MARGIN.left) / this.width,
+        y: (event.clientY - box.top - MARGIN.top) / this.height,
+      };
+      if (!this.axes.y.down) shares.y = 1 - shares.y;
+      const target = {};
+      for (const [direction, axis] of Object.entries(this.moves)) {
+        const [low, high] = this.axes[direction].range;
+        if (axis) target[axis] = low + clamp(shares[direction], 0, 1) * (high - low);
+      }
+      cursor.move(target);
+    };
+    host.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0) return;
+      host.setPointerCapture(event.pointerId);
+      go(event);
+    });
+    host.addEventListener("pointermove", (event) => {
+      if (host.hasPointerCapture(event.pointerId)) go(event);
+    });
+    host.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  key(event) {
+    const way = {
+      ArrowLeft: ["x", -1],
+      ArrowRight: ["x", 1],
+      ArrowUp: ["y", 1],
+      ArrowDown: ["y", -1],
+    }[event.key];
+    if (!way || event.altKey || event.ctrlKey || event.metaKey) return;
+    const axis = this.keys ? this.keys[way[0]] : this.moves[way[0]];
+    if (!axis) return;
+    event.preventDefault();
+    const far = event.shiftKey ? 10 : 1;
+    cursor.move({ [axis]: cursor[axis] + way[1] * far * this.step(axis) });
+    speak(() => this.spoken());
+  }
+}
+
+function line(style, x1, y1, x2, y2) {
+  return svg("line", { class: style, x1, y1, x2, y2 });
+}
+
+function text(content, x, y, anchor = "middle", transform = "") {
+  const made = svg("text", { x, y, "text-anchor": anchor });
+  if (transform) made.setAttribute("transform", transform);
+  made.textContent = typeof content === "number" ? shown(content) : content;
+  return made;
+}
+
+// Path through [x, y] pixels, interrupted where one is no number.
+function path(points) {
+  let pen = "M";
+  let d = "";
+  for (const [x, y] of points) {
+    if (Number.isFinite(x) && Number.isFinite(y)) {
+      d += `${pen}${x.toFixed(1)} ${y.toFixed(1)}`;
+      pen = "L";
+    } else {
+      pen = "M";
+    }
+  }
+  return d;
+}
