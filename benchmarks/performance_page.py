@@ -1,0 +1,219 @@
+"""The page docs/performance.md, from what benchmarks/performance.py has measured."""
+
+from __future__ import annotations
+
+from math import log
+
+HEAD = """\
+# Performance
+
+Written by the benchmark itself; `python benchmarks/performance.py` measures everything but the
+largest case, `python benchmarks/performance.py --huge` that one. Loaded thickness: {map}; layer
+0.5 mm thick, C10 2.23 kPa, C01 0.703 kPa, K/mu 1e4, friction 0.15 at the window and 0.05 at the
+sample, free edges.
+
+{machines}
+"""
+
+MAPS = {
+    "coin": "the measured map of a 5-cent coin (5 x 5 mm; mirrored to 7 x 7 mm)",
+    "demo": "the map that `optical-palpation demo` makes (5 x 5 mm; mirrored to 7 x 7 mm), because "
+    "the measured one was not there",
+}
+
+NOTES = """\
+Elements: the outermost ones of free edges are finer, so that there are somewhat more than the
+nominal number. Unknowns: three displacements per node and a pressure per element. Seconds: wall
+clock of `computational_stress`, all of it, kernels compiled. Newton iterations: on all grids of the
+cascade, and on the finest. Krylov iterations: in all linear solves together, and in the longest
+(each to a relative residual of 1e-2). Peak memory: of the whole process (resident set). The floor
+is the time in which the machine's memory could pass every array that a parallel kernel reads or
+writes just once per call, {bandwidth} GB/s at the best of five triads; small grids live in the
+caches and may be faster.
+"""
+
+
+def case_line(name: str, case, found: dict) -> str:
+    """What a run has found, as a line for the terminal."""
+    if "failed" in found:
+        return f"  {case.text}: FAILED: {found['failed']}"
+    shares = ", ".join(f"{phase} {100 * s:.0f} %" for phase, s in found["shares"].items())
+    return (
+        f"  {case.text}: {found['elements']:,} elements, {found['unknowns']:,} unknowns, "
+        f"{found['seconds']:.2f} s ({_per_million(found):.2f} s per million unknowns), "
+        f"{found['newton']} Newton ({found['newton_finest']} on the finest grid), "
+        f"{found['krylov']} Krylov iterations (at most {found['krylov_largest']}), "
+        f"{found['peak_bytes'] / 1e9:.2f} GB, {found['force_mN']:.1f} mN\n  {shares}"
+    )
+
+
+def page(cases: dict, record: dict) -> str:
+    """Return the whole page."""
+    if not record:
+        return "Nothing has been measured.\n"
+    machines = [found["machine"] for found in record.values()]
+    parts = [
+        HEAD.format(map=MAPS[machines[-1]["map"]], machines=_machines(record)),
+        "## Sizes\n",
+        _sizes({n: c for n, c in cases.items() if c.solver == "auto" and c.cascade}, record),
+        NOTES.format(bandwidth=f"{machines[-1]['bandwidth'] / 1e9:.0f}"),
+        "Shares of the time:\n",
+        _shares(cases, record),
+        _growth(record),
+        "## Against other ways to the same answer\n",
+        _references(cases, record),
+        "## Against CalculiX\n",
+        _calculix(record.get("sinusoid")),
+        "## Start and compilation\n",
+        _start(record.get("start")),
+    ]
+    return "\n".join(parts)
+
+
+def _machines(record: dict) -> str:
+    groups: dict[str, list[str]] = {}
+    for name, found in record.items():
+        m = found["machine"]
+        bandwidth = f"{m['bandwidth'] / 1e9:.0f} GB/s"
+        text = (
+            f"{m['processor']}, {m['cores']} cores ({m['threads']} threads), "
+            f"{m['memory_bytes'] / 2**30:.0f} GiB, memory bandwidth {bandwidth}, "
+            f"Python {m['python']}, {m['date']}; load before the run {m['load_before']:.1f}"
+        )
+        groups.setdefault(text, []).append(name)
+    if len(groups) == 1:
+        return f"Machine: {next(iter(groups))}."
+    return "\n".join(f"- {'; '.join(names)}: {text}." for text, names in groups.items())
+
+
+def _per_million(found: dict) -> float:
+    return 1e6 * found["seconds"] / found["unknowns"]
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def _state(found: dict | None) -> str:
+    return "not run" if found is None else f"failed: {found['failed']}"
+
+
+def _sizes(cases: dict, record: dict) -> str:
+    head = [
+        "case", "elements", "unknowns", "seconds", "aim", "floor, s", "s per million unknowns",
+        "Newton: all, finest", "Krylov: all, longest", "peak memory, GB", "aim",
+    ]  # fmt: skip
+    rows = []
+    for name, case in cases.items():
+        found = record.get(name)
+        aim = f"{case.seconds:g}"
+        memory = f"{case.gigabytes:g}" if case.gigabytes else ""
+        if found is None or "failed" in found:
+            rows.append([case.text, name, "", _state(found), aim, *[""] * 5, memory])
+            continue
+        rows.append(
+            [
+                case.text,
+                f"{found['elements']:,}",
+                f"{found['unknowns']:,}",
+                f"{found['seconds']:.2f}",
+                aim,
+                f"{found['bytes_moved'] / found['machine']['bandwidth']:.2f}",
+                f"{_per_million(found):.2f}",
+                f"{found['newton']}, {found['newton_finest']}",
+                f"{found['krylov']}, {found['krylov_largest']}",
+                f"{found['peak_bytes'] / 1e9:.2f}",
+                memory,
+            ]
+        )
+    return _table(head, rows)
+
+
+def _shares(cases: dict, record: dict) -> str:
+    done = {n: f for n, f in record.items() if n in cases and "shares" in f}
+    phases = list(dict.fromkeys(p for f in done.values() for p in f["shares"]))
+    rows = []
+    for name, found in done.items():
+        shares = [found["shares"].get(p, 0.0) for p in phases]
+        row = [f"{100 * s:.0f} %" for s in [*shares, 1 - sum(shares)]]
+        rows.append([cases[name].text, *row, f"{found['watched_seconds'] / found['seconds']:.2f}"])
+    return _table(["case", *phases, "rest", "watched / unwatched time"], rows)
+
+
+def _growth(record: dict) -> str:
+    small, large = (record.get(n, {}) for n in ("100,000", "1,000,000"))
+    if "seconds" not in small or "seconds" not in large:
+        return "How the time grows is not known: one of the two cases is missing.\n"
+    power = log(large["seconds"] / small["seconds"]) / log(large["elements"] / small["elements"])
+    return (
+        f"From {small['elements']:,} to {large['elements']:,} elements the time grows as elements "
+        f"to the power {power:.2f} (aim: 1.1 or less).\n"
+    )
+
+
+def _references(cases: dict, record: dict) -> str:
+    rows = []
+    for name, case in cases.items():
+        if case.solver == "auto" and case.cascade:
+            continue
+        found = record.get(name)
+        if found is None or "failed" in found:
+            rows.append([case.text, _state(found), "", "", ""])
+            continue
+        other = found.get("difference", {})
+        rows.append(
+            [
+                case.text,
+                f"{found['seconds']:.1f}",
+                f"{found['peak_bytes'] / 1e9:.2f}",
+                f"{other['pressure']:.1e}" if other else "not compared",
+                f"{100 * other['force']:.3f} %" if other else "not compared",
+            ]
+        )
+    text = (
+        "Contact pressure of the case by the default way less that of the other, relative L2, and "
+        "total force. Without the cascade the load path is followed on the grid itself; friction "
+        "depends on the path.\n"
+    )
+    head = ["case", "seconds", "peak memory, GB", "contact pressure", "force"]
+    return text + "\n" + _table(head, rows)
+
+
+def _calculix(found: dict | None) -> str:
+    if found is None:
+        return "Not run.\n"
+    names = {
+        "multigrid": "this solver, trilinear",
+        "direct": "the same, sparse-direct",
+        "calculix": "CalculiX, C3D20R",
+    }
+    rows = [
+        [text, f"{f['elements']:,}", f"{f['seconds']:.2f}", f"{f['force_mN']:.1f}"]
+        for n, text in names.items()
+        if (f := found.get(n))
+    ]
+    text = (
+        "Sinusoidal imprint of 5 x 5 mm, K/mu 100 in both, friction 0.3 and 0.05, the same number "
+        f"of threads ({found['machine']['threads']}).\n\n"
+        + _table(["code", "elements", "seconds", "force, mN"], rows)
+    )
+    if "failed" in found:
+        return text + f"\n{found['failed']}.\n"
+    ours, theirs = found["multigrid"], found["calculix"]
+    return text + (
+        f"\n{theirs['seconds'] / ours['seconds']:.0f} times faster (aim: 200), the force "
+        f"{100 * (ours['force_mN'] / theirs['force_mN'] - 1):+.1f} % (aim: within 3 %).\n"
+    )
+
+
+def _start(found: dict | None) -> str:
+    if found is None or "failed" in found:
+        return f"{_state(found)}\n"
+    compiling, compiled = found["compiling"], found["compiled"]
+    return (
+        f"A process with compiled kernels begins its first Newton iteration "
+        f"{compiled['first_iteration_s']:.1f} s after it was called (aim: 2). With an empty cache "
+        f"the whole run of the smallest case takes {compiling['whole_s']:.0f} s, of which "
+        f"{compiling['whole_s'] - compiled['whole_s']:.0f} s are compilation (aim: 40).\n"
+    )
