@@ -1,0 +1,178 @@
+"""From a scene to bodies, contacts and the unloaded state."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from optical_palpation.errors import InputError
+from optical_palpation.experiment.bodies import Body
+from optical_palpation.experiment.contact import ContactState, Interface, Plane
+from optical_palpation.experiment.equilibrium import LAYER, SAMPLE, Assembly, State
+from optical_palpation.experiment.scene import Scene, map_height, volume_factor
+from optical_palpation.mechanics.grid import LayerGrid, node_positions
+
+Array = NDArray[np.float64]
+_GROWTH_OUTSIDE = 1.3  # of the layer's elements beyond the sample
+
+
+def build(
+    scene: Scene,
+    *,
+    coarsening: float = 1.0,
+    relief: xr.DataArray | None = None,
+    stiffness: xr.DataArray | None = None,
+) -> Assembly:
+    """Mesh a scene with elements ``coarsening`` times as large as it asks for."""
+    layer, sample, mesh = scene.layer, scene.sample, scene.mesh
+    size = coarsening * mesh.element_size
+    edge = mesh.edge_size and coarsening * mesh.edge_size
+    lateral = [_lateral(layer.size[n], sample.size[n], size, edge, "xy"[n]) for n in range(2)]
+    (layer_x, sample_x), (layer_y, sample_y) = lateral
+
+    wanted = mesh.layer_elements or max(3, round(layer.thickness / mesh.element_size))
+    count = max(2, round(wanted / coarsening))
+    flat = np.zeros((layer_y.size, layer_x.size))
+    layer_grid = LayerGrid(layer_x, layer_y, np.linspace(0, 1, count + 1), flat + layer.thickness)
+    bodies_layer = Body(layer_grid, flat, layer.material, np.ones(layer_grid.shape))
+
+    x, y = np.meshgrid(sample_x, sample_y)
+    height = sum((part.height(x, y) for part in sample.relief), np.zeros_like(x))
+    if relief is not None:
+        height = height + map_height(relief, x, y)
+    top = layer.thickness + height.max() - height
+    plate = layer.thickness + height.max() + sample.thickness
+    if (plate - top).min() < 0.1 * sample.thickness:
+        raise InputError(
+            f"sample: the relief reaches down to {(plate - top).min():.3g} mm above the plate; "
+            f"make the sample thicker than {sample.thickness:g} mm or the relief flatter"
+        )
+    depth = _graded(sample.thickness, layer.thickness / count, mesh.growth**coarsening)
+    sample_grid = LayerGrid(sample_x, sample_y, depth, plate - top)
+    bodies_sample = Body(
+        sample_grid, top, sample.material, _stiffness(scene, sample_grid, stiffness)
+    )
+
+    first = bodies_layer.n_nodes
+    number = np.arange(first).reshape(layer_grid.node_shape)
+    below = first + np.arange(bodies_sample.n_nodes).reshape(sample_grid.node_shape)
+    start = np.stack(
+        [
+            np.interp(x.ravel(), layer_x, np.arange(layer_x.size)),
+            np.interp(y.ravel(), layer_y, np.arange(layer_y.size)),
+        ],
+        axis=1,
+    )
+    friction = scene.friction
+    faces = bodies_layer.nodes[:, 0], bodies_sample.nodes[:, 0], bodies_sample.nodes[:, -1]
+    grids = layer_grid, sample_grid, sample_grid
+    return Assembly(
+        bodies=(bodies_layer, bodies_sample),
+        contacts=(
+            Plane(number[0].ravel(), -1.0, friction.window),
+            Interface(below[0].ravel(), number[-1], friction.sample, start),
+            Plane(below[-1].ravel(), 1.0, friction.plate),
+        ),
+        areas=tuple(g.surface_areas(f).ravel() for g, f in zip(grids, faces, strict=True)),
+        plate=float(plate),
+        compression=scene.compression,
+        slip_length=2e-3 * layer.thickness,
+    )
+
+
+def at_rest(assembly: Assembly) -> State:
+    """Return the unloaded state."""
+    u = np.zeros((assembly.n_nodes, 3))
+    position = assembly.position(u)
+    return State(
+        load=0.0,
+        u=u,
+        p=(
+            np.zeros(assembly.bodies[LAYER].grid.shape),
+            np.zeros(assembly.bodies[SAMPLE].grid.shape),
+        ),
+        contacts=tuple(
+            ContactState.resting(meeting, position, np.zeros(meeting.penetration.size))
+            for meeting in assembly.meet(position, 0.0)
+        ),
+    )
+
+
+def column_forces(assembly: Assembly) -> tuple[Array, Array, Array]:
+    """Contact forces at full load if every column of layer and sample were a spring of its own."""
+    layer, sample = assembly.bodies
+    gap = sample.top - layer.grid.thickness[0, 0]
+    compliance = layer.grid.thickness[0, 0] / layer.material.initial_youngs_modulus
+    height = np.diff(sample.grid.depth)[:, None, None]
+    nodal = np.pad(1 / sample.stiffness, ((0, 0), (0, 1), (0, 1)), mode="edge")
+    compliance = compliance + sample.grid.thickness * (height * nodal).sum(0) / (
+        sample.material.initial_youngs_modulus
+    )
+    pressure = np.maximum(assembly.compression - gap, 0.0) / compliance
+    ny1, nx1 = layer.grid.node_shape[1:]
+    on_layer = np.zeros((ny1, nx1))
+    x, y = layer.grid.x, layer.grid.y
+    inside_x = (x >= sample.grid.x[0] - 1e-9) & (x <= sample.grid.x[-1] + 1e-9)
+    inside_y = (y >= sample.grid.y[0] - 1e-9) & (y <= sample.grid.y[-1] + 1e-9)
+    j = np.abs(y[inside_y, None] - sample.grid.y).argmin(1)
+    i = np.abs(x[inside_x, None] - sample.grid.x).argmin(1)
+    on_layer[np.ix_(inside_y, inside_x)] = pressure[np.ix_(j, i)]
+    pressures = on_layer.ravel(), pressure.ravel(), pressure.ravel()
+    window, interface, plate = (p * area for p, area in zip(pressures, assembly.areas, strict=True))
+    return window, interface, plate
+
+
+def _lateral(
+    layer: float, sample: float, size: float, edge: float | None, axis: str
+) -> tuple[Array, Array]:
+    """Lateral nodes of layer and sample along one axis; they coincide where both are."""
+    if sample > layer * (1 + 1e-9):
+        raise InputError(
+            f"sample: its size along {axis}, {sample:g} mm, exceeds that of the layer, {layer:g} mm"
+        )
+    if size > 0.25 * sample * (1 + 1e-9):
+        raise InputError(
+            f"mesh: element_size {size:g} mm is larger than a quarter of the sample along {axis}, "
+            f"{0.25 * sample:g} mm"
+        )
+    start = 0.5 * (layer - sample)
+    inner = node_positions(sample, size, start, edge=edge)
+    if start < 0.5 * size:
+        inner = node_positions(layer, size, edge=edge)
+        return inner, inner
+    first = inner[1] - inner[0]
+    widths = [first]
+    while sum(widths) < start:
+        widths.append(min(widths[-1] * _GROWTH_OUTSIDE, 2 * size))
+    outside = np.cumsum(widths) * start / sum(widths)
+    nodes = np.concatenate([start - outside[::-1], inner, start + sample + outside])
+    return nodes, inner
+
+
+def _graded(thickness: float, first: float, growth: float) -> Array:
+    """Depth fractions of elements that grow from about ``first`` by ``growth`` each."""
+    widths = [first]
+    while sum(widths) < thickness - 0.5 * widths[-1] * growth:
+        widths.append(widths[-1] * growth)
+    if len(widths) < 2:
+        widths = [1.0, 1.0]
+    return np.concatenate([[0.0], np.cumsum(widths) / sum(widths)])
+
+
+def _stiffness(scene: Scene, grid: LayerGrid, given: xr.DataArray | None) -> Array:
+    """Stiffness factor of each element, taken at its centre."""
+    z, y, x = np.meshgrid(
+        *(0.5 * (n[1:] + n[:-1]) for n in (grid.depth, grid.y, grid.x)), indexing="ij"
+    )
+    thickness = grid.thickness
+    mean = 0.25 * (
+        thickness[1:, 1:] + thickness[1:, :-1] + thickness[:-1, 1:] + thickness[:-1, :-1]
+    )
+    depth = scene.sample.thickness - (1 - z) * mean
+    factor = np.ones(grid.shape)
+    for feature in scene.sample.stiffness:
+        factor = feature.apply(factor, x, y, depth)
+    if given is not None:
+        factor = factor * volume_factor(given, x, y, depth)
+    return factor

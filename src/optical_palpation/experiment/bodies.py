@@ -1,0 +1,297 @@
+"""Deformable bodies on structured grids, each element with a stiffness of its own.
+
+The energy of an element of stiffness factor s is s times that of the layer's solver
+(``mechanics.elements``) with an unscaled pressure p,
+
+    W = s (C10 (I1bar - 3) + C01 (I2bar - 3)) + p (J - 1) - p^2 / (2 s K).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numba as nb
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics.elements import (
+    GRADIENTS,
+    LANES,
+    _add_stiffness,
+    _elasticity,
+    _gather,
+    _isochoric_stress,
+    _kinematics,
+)
+from optical_palpation.mechanics.grid import LayerGrid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A hyperelastic body between two surfaces, nearly incompressible, Q1-P0 elements.
+
+    Attributes
+    ----------
+    grid
+        Lateral nodes, depth fractions and thickness of the body.
+    top
+        z of its face nearest the window, (ny + 1, nx + 1), mm.
+    material
+        The law of a stiffness factor of 1.
+    stiffness
+        Factor of each element, (nz, ny, nx).
+    """
+
+    grid: LayerGrid
+    top: Array
+    material: MooneyRivlin
+    stiffness: Array
+
+    @cached_property
+    def nodes(self) -> Array:
+        """Reference node positions, (3, nz + 1, ny + 1, nx + 1), mm."""
+        nodes = self.grid.nodes.copy()
+        nodes[2] += self.top
+        return nodes
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return int(np.prod(self.grid.node_shape))
+
+    @cached_property
+    def _neighbours(self) -> tuple[NDArray[np.bool_], NDArray[np.intp], NDArray[np.intp]]:
+        """Which of 27 neighbours a node has, their numbers, and the row starts (in blocks)."""
+        shape = self.grid.node_shape
+        k, j, i = np.indices(shape)
+        m = np.arange(27)
+        kk, jj, ii = (
+            axis[..., None] + step
+            for axis, step in ((k, m // 9 - 1), (j, m // 3 % 3 - 1), (i, m % 3 - 1))
+        )
+        inside = np.ones(kk.shape, bool)
+        for axis, count in zip((kk, jj, ii), shape, strict=True):
+            inside &= (axis >= 0) & (axis < count)
+        number = (kk * shape[1] + jj) * shape[2] + ii
+        starts = np.concatenate([[0], np.cumsum(inside.sum(-1).ravel())])
+        return inside, number[inside], starts
+
+    def forces(self, u: Array, p: Array) -> BodyForces:
+        """Internal forces and volumes at displacement ``u`` and pressure ``p``."""
+        force = np.empty_like(u)
+        volume, reference = np.empty(self.grid.shape), np.empty(self.grid.shape)
+        jacobian = np.empty(self.grid.shape[:2])
+        law = self.material
+        _forces(
+            self.nodes,
+            u,
+            p,
+            self.stiffness,
+            law.c10,
+            law.c01,
+            GRADIENTS,
+            force,
+            volume,
+            reference,
+            jacobian,
+        )
+        compressed = reference * p / (self.stiffness * law.bulk_modulus)
+        return BodyForces(force, volume - reference - compressed, reference, float(jacobian.min()))
+
+    def tangent(self, u: Array, p: Array) -> tuple[sp.bsr_matrix, Array]:
+        """Stiffness with the pressure condensed (unknown 3 node + component), and dv/du.
+
+        The latter has shape (nz, ny, 24, nx), entry 3 * node + component.
+        """
+        nz, ny, nx = self.grid.shape
+        stencil = np.empty((*self.grid.node_shape, 27, 3, 3))
+        divergence = np.empty((nz, ny, 24, nx))
+        law = self.material
+        _tangent(
+            self.nodes,
+            u,
+            p,
+            self.stiffness,
+            law.c10,
+            law.c01,
+            law.bulk_modulus,
+            GRADIENTS,
+            stencil,
+            divergence,
+        )
+        inside, columns, starts = self._neighbours
+        size = 3 * self.n_nodes
+        matrix = sp.bsr_matrix((stencil[inside], columns, starts), shape=(size, size))
+        return matrix, divergence
+
+    def stress(self, u: Array, p: Array) -> Array:
+        """Volume-averaged Cauchy stress of the elements, (6, nz, ny, nx), kPa."""
+        stress = np.empty((6, *self.grid.shape))
+        law = self.material
+        _stress(self.nodes, u, p, self.stiffness, law.c10, law.c01, GRADIENTS, stress)
+        return stress
+
+
+@dataclass(frozen=True)
+class BodyForces:
+    """Internal forces of a body (shape of u, mN), volume residual v - V (1 + p / K), V, min J."""
+
+    force: Array
+    volume_residual: Array
+    volume: Array
+    min_jacobian: float
+
+
+@nb.njit(parallel=True, cache=True)
+def _forces(nodes, u, p, stiffness, c10, c01, dn, force, volume, reference, jacobian):
+    nz, ny, nx = p.shape
+    force[:] = 0
+    for colour in range(4):
+        k0, j0 = colour >> 1, colour & 1
+        nk, nj = (nz - k0 + 1) // 2, (ny - j0 + 1) // 2
+        for row in nb.prange(nk * nj):
+            k, j = k0 + 2 * (row // nj), j0 + 2 * (row % nj)
+            ref, cur, grad = (
+                np.empty((8, 3, LANES)),
+                np.empty((8, 3, LANES)),
+                np.empty((8, 3, LANES)),
+            )
+            b, tau = np.empty((6, LANES)), np.empty((6, LANES))
+            trace, det, jac = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+            smallest = 1e30
+            for i0 in range(0, nx, LANES):
+                n = min(LANES, nx - i0)
+                _gather(nodes, u, k, j, i0, nx, ref, cur)
+                volume[k, j, i0 : i0 + n] = 0
+                reference[k, j, i0 : i0 + n] = 0
+                for g in range(8):
+                    _kinematics(dn[g], ref, cur, grad, b, det, jac)
+                    _isochoric_stress(b, jac, c10, c01, tau, trace)
+                    for l in range(n):
+                        e = i0 + l
+                        smallest = min(smallest, jac[l])
+                        reference[k, j, e] += det[l]
+                        volume[k, j, e] += det[l] * jac[l]
+                        shear = det[l] * stiffness[k, j, e]
+                        hydrostatic = det[l] * jac[l] * p[k, j, e]
+                        for c in range(6):
+                            tau[c, l] *= shear
+                        for c in range(3):
+                            tau[c, l] += hydrostatic
+                    for a in range(8):
+                        kk, jj, di = k + (a >> 2), j + ((a >> 1) & 1), i0 + (a & 1)
+                        for l in range(n):
+                            g0, g1, g2 = grad[a, 0, l], grad[a, 1, l], grad[a, 2, l]
+                            force[0, kk, jj, di + l] += (
+                                tau[0, l] * g0 + tau[5, l] * g1 + tau[4, l] * g2
+                            )
+                            force[1, kk, jj, di + l] += (
+                                tau[5, l] * g0 + tau[1, l] * g1 + tau[3, l] * g2
+                            )
+                            force[2, kk, jj, di + l] += (
+                                tau[4, l] * g0 + tau[3, l] * g1 + tau[2, l] * g2
+                            )
+            jacobian[k, j] = smallest
+
+
+@nb.njit(parallel=True, cache=True)
+def _tangent(nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence):
+    nz, ny, nx = p.shape
+    for k in nb.prange(nz + 1):
+        stencil[k] = 0
+    for colour in range(4):
+        k0, j0 = colour >> 1, colour & 1
+        nk, nj = (nz - k0 + 1) // 2, (ny - j0 + 1) // 2
+        for row in nb.prange(nk * nj):
+            k, j = k0 + 2 * (row // nj), j0 + 2 * (row % nj)
+            ref, cur, grad = (
+                np.empty((8, 3, LANES)),
+                np.empty((8, 3, LANES)),
+                np.empty((8, 3, LANES)),
+            )
+            b, tau = np.empty((6, LANES)), np.empty((6, LANES))
+            trace, det, jac = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+            factor, pe, v0 = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+            cc, ke = np.empty((21, LANES)), np.empty((36, 9, LANES))
+            be = np.empty((24, LANES))
+            for i0 in range(0, nx, LANES):
+                n = min(LANES, nx - i0)
+                _gather(nodes, u, k, j, i0, nx, ref, cur)
+                for l in range(LANES):
+                    e = min(i0 + l, nx - 1)
+                    factor[l] = stiffness[k, j, e]
+                    pe[l] = p[k, j, e] / factor[l]
+                v0[:] = 0
+                ke[:] = 0
+                be[:] = 0
+                for g in range(8):
+                    _kinematics(dn[g], ref, cur, grad, b, det, jac)
+                    _isochoric_stress(b, jac, c10, c01, tau, trace)
+                    for a in range(8):
+                        for c in range(3):
+                            for l in range(LANES):
+                                be[3 * a + c, l] += grad[a, c, l] * jac[l] * det[l]
+                    for l in range(LANES):
+                        v0[l] += det[l]
+                        det[l] *= factor[l]
+                    _elasticity(b, tau, trace, jac, pe, det, c01, cc)
+                    for l in range(LANES):
+                        for c in range(3):
+                            tau[c, l] += pe[l] * jac[l]
+                        for c in range(6):
+                            tau[c, l] *= det[l]
+                    _add_stiffness(grad, cc, tau, ke)
+                for l in range(LANES):
+                    v0[l] = bulk * factor[l] / v0[l]
+                for q in range(24):
+                    for l in range(n):
+                        divergence[k, j, q, i0 + l] = be[q, l]
+                for a in range(8):
+                    kk, jj, di = k + (a >> 2), j + ((a >> 1) & 1), i0 + (a & 1)
+                    for bb in range(8):
+                        m = 9 * ((bb >> 2) - (a >> 2) + 1)
+                        m += 3 * (((bb >> 1) & 1) - ((a >> 1) & 1) + 1) + (bb & 1) - (a & 1) + 1
+                        for c in range(3):
+                            for d in range(3):
+                                if bb <= a:
+                                    block, cd = a * (a + 1) // 2 + bb, 3 * c + d
+                                else:
+                                    block, cd = bb * (bb + 1) // 2 + a, 3 * d + c
+                                for l in range(n):
+                                    stencil[kk, jj, di + l, m, c, d] += (
+                                        ke[block, cd, l]
+                                        + v0[l] * be[3 * a + c, l] * be[3 * bb + d, l]
+                                    )
+
+
+@nb.njit(parallel=True, cache=True)
+def _stress(nodes, u, p, stiffness, c10, c01, dn, stress):
+    nz, ny, nx = p.shape
+    for row in nb.prange(nz * ny):
+        k, j = row // ny, row % ny
+        ref, cur, grad = np.empty((8, 3, LANES)), np.empty((8, 3, LANES)), np.empty((8, 3, LANES))
+        b, tau = np.empty((6, LANES)), np.empty((6, LANES))
+        trace, det, jac = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+        volume = np.empty(LANES)
+        for i0 in range(0, nx, LANES):
+            n = min(LANES, nx - i0)
+            _gather(nodes, u, k, j, i0, nx, ref, cur)
+            volume[:] = 0
+            stress[:, k, j, i0 : i0 + n] = 0
+            for g in range(8):
+                _kinematics(dn[g], ref, cur, grad, b, det, jac)
+                _isochoric_stress(b, jac, c10, c01, tau, trace)
+                for l in range(n):
+                    volume[l] += det[l] * jac[l]
+                    for c in range(6):
+                        stress[c, k, j, i0 + l] += tau[c, l] * det[l] * stiffness[k, j, i0 + l]
+            for l in range(n):
+                for c in range(6):
+                    stress[c, k, j, i0 + l] /= volume[l]
+                for c in range(3):
+                    stress[c, k, j, i0 + l] += p[k, j, i0 + l]

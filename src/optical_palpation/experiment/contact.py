@@ -1,0 +1,387 @@
+"""Contact and friction of deformable bodies with rigid planes and with one another.
+
+A contact is a set of nodes (the slaves) and what each of them meets: a rigid plane z = const, or
+the surface of another body (the master), interpolated smoothly through its nodes. Penetration phi
+is measured along z, as in the layer's own solver (``mechanics.contact``), and so are the law of
+contact, N = S(N + c phi) with the vertical force N as unknown, and Coulomb's smoothed law in the
+x-y plane.
+
+A slave at (x, y) lies above the master's point xi at which S_xy(xi) = (x, y). With w the weights
+of the master's nodes there, W = (1, -w) over slave and master nodes and v = (-h_x, -h_y, 1) from
+the slope of the surface,
+
+    d phi = -sum_a W_a v . dx_a,
+
+exactly, sliding included: what the slave bears the master gives, and the moments balance too.
+The slip since the last load is that from the point of the master the slave was at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numba as nb
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+
+#: Friction is remembered from load to load up to this |w|, as in ``mechanics.contact``.
+_MEMORY = 10.0
+#: A contact spring is at most this many times stiffer than the scale c of its law. What a Newton
+#: step thereby leaves of the law's violation is its inverse.
+_STIFFEST = 1e4
+#: Beyond its edge the master goes on straight but bends away as s^2 / 2 times this many elements,
+#: s the distance from the edge in elements: slaves that slide off it let go smoothly.
+_ROUNDING = 2.0
+#: Distance from the edge, in elements, beyond which nothing is met.
+_REACH = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Meeting:
+    """Where the n slaves of a contact are on what they meet, q nodes taking part in each.
+
+    ``nodes`` (n, q) and ``weights`` W (n, q), slave first; ``direction`` v (n, 3);
+    ``gradient`` (n, q, 2) of the weights by x and y; ``curvature`` (n, 2, 2) of the surface;
+    ``penetration`` (n), mm.
+    """
+
+    nodes: Numbers
+    weights: Array
+    direction: Array
+    gradient: Array
+    curvature: Array
+    penetration: Array
+
+    def lateral_offset(self, position: Array) -> Array:
+        """Sum of W x, y over the nodes (n, 2)."""
+        return np.einsum("nq,nqc->nc", self.weights, position[self.nodes, :2])
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """Slaves against a rigid plane that lies on the side ``sign`` (-1 window, +1 plate) of them."""
+
+    slaves: Numbers
+    sign: float
+    friction: float
+
+    def meet(self, position: Array, height: float) -> Meeting:
+        """Return where the slaves are on the plane z = ``height``."""
+        n = self.slaves.size
+        return Meeting(
+            nodes=self.slaves[:, None],
+            weights=np.ones((n, 1)),
+            direction=np.tile([0.0, 0.0, -self.sign], (n, 1)),
+            gradient=np.zeros((n, 1, 2)),
+            curvature=np.zeros((n, 2, 2)),
+            penetration=self.sign * (position[self.slaves, 2] - height),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Interface:
+    """Slaves of one body on a structured surface, ``master`` (ny + 1, nx + 1), of another.
+
+    The slaves lie on the +z side of the surface. ``start`` (n, 2): the slaves' first guess of
+    their (column, row) on the surface.
+    """
+
+    slaves: Numbers
+    master: Numbers
+    friction: float
+    start: Array
+
+    def meet(self, position: Array, height: float = 0.0) -> Meeting:
+        """Return where the slaves are on the master's surface."""
+        n = self.slaves.size
+        nodes = np.empty((n, 17), np.intp)
+        nodes[:, 0] = self.slaves
+        weights, gradient = np.zeros((n, 17)), np.zeros((n, 17, 2))
+        weights[:, 0] = 1.0
+        direction, curvature, depth = np.empty((n, 3)), np.empty((n, 2, 2)), np.empty(n)
+        _project(
+            position[self.slaves],
+            position[self.master],
+            self.master,
+            self.start,
+            nodes,
+            weights,
+            gradient,
+            direction,
+            curvature,
+            depth,
+        )
+        return Meeting(nodes, weights, direction, gradient, curvature, depth)
+
+
+@dataclass(frozen=True, eq=False)
+class ContactState:
+    """Vertical forces N (n), mN, and friction memory w (n, 2) of a contact.
+
+    ``anchor`` is where the slaves were at the last accepted load and ``offset`` its lateral offset.
+    """
+
+    force: Array
+    memory: Array
+    anchor: Meeting
+    offset: Array
+
+    @classmethod
+    def resting(cls, meeting: Meeting, position: Array, force: Array) -> ContactState:
+        """Return a contact with forces and without friction."""
+        return cls(force, np.zeros((force.size, 2)), meeting, meeting.lateral_offset(position))
+
+
+@dataclass(frozen=True, eq=False)
+class ContactTerms:
+    """A linearised contact.
+
+    ``residual`` (n, q, 3): nodal forces to add to the internal ones, mN; ``violation`` (n) of the
+    law of contact, mN. A step changes N by ``spring`` d phi - ``jump``. ``sliding`` (n, 2) is the
+    friction at the present N, as a share of N.
+    """
+
+    meeting: Meeting
+    state: ContactState
+    residual: Array
+    violation: Array
+    spring: Array
+    jump: Array
+    sliding: Array
+    friction_stiffness: Array
+
+    @property
+    def rows(self) -> Array:
+        """What a unit of N puts on the nodes (n, q, 3)."""
+        meeting = self.meeting
+        rows = -meeting.weights[:, :, None] * meeting.direction[:, None, :]
+        rows[:, :, :2] += meeting.weights[:, :, None] * self.sliding[:, None, :]
+        return rows
+
+    def change_of_force(self, du: Array) -> Array:
+        """Change of N for a step (n_nodes, 3)."""
+        meeting = self.meeting
+        moved = np.einsum("nq,nqc->nc", meeting.weights, du[meeting.nodes])
+        return -self.spring * (moved * meeting.direction).sum(1) - self.jump
+
+    def blocks(self) -> Array:
+        """Tangent of the nodal forces (n, q, q, 3, 3)."""
+        meeting = self.meeting
+        w, v, g = meeting.weights, meeting.direction, meeting.gradient
+        normal = np.maximum(self.state.force, 0.0)
+        pull = -self.spring[:, None, None] * w[:, :, None] * v[:, None, :]
+        out = np.einsum("nac,nbd->nabcd", self.rows, pull)
+        lateral = self.friction_stiffness + normal[:, None, None] * meeting.curvature
+        out[..., :2, :2] += np.einsum("na,nb,ncd->nabcd", w, w, lateral)
+        turn = np.einsum("n,na,nbc,nd->nabcd", normal, w, g, v)
+        out[..., :2, :] += turn
+        out[..., :, :2] += turn[..., :2, :].transpose(0, 2, 1, 4, 3)
+        return out
+
+
+def linearise(
+    contact: Plane | Interface,
+    meeting: Meeting,
+    state: ContactState,
+    position: Array,
+    scale: Array,
+    smoothing: Array,
+    slip_length: float,
+) -> ContactTerms:
+    """Linearise a contact; ``scale`` c and ``smoothing`` eps of its law are per slave."""
+    normal = state.force
+    t = normal + scale * meeting.penetration
+    root = np.sqrt(t**2 + 4 * smoothing**2)
+    # of S and 1 - S' the small one of two terms is formed without cancellation
+    value = np.where(t > 0, 0.5 * (t + root), 2 * smoothing**2 / (root - t))
+    other = np.where(t > 0, 2 * smoothing**2 / (root * (root + t)), 0.5 * (1 - t / root))
+    slope = 1 - other
+    violation = normal - value
+    other = np.maximum(other, 1 / _STIFFEST)
+
+    slip = state.anchor.lateral_offset(position) - state.offset
+    w = state.memory + slip / slip_length
+    q = np.sqrt(1 + (w**2).sum(1))
+    s = w / q[:, None]
+    sliding = contact.friction * s
+    stiff = contact.friction * np.maximum(normal, 0.0) / (slip_length * q)
+    friction_stiffness = stiff[:, None, None] * (np.eye(2) - s[:, :, None] * s[:, None, :])
+    terms = ContactTerms(
+        meeting=meeting,
+        state=state,
+        residual=np.empty(0),
+        violation=violation,
+        spring=slope * scale / other,
+        jump=violation / other,
+        sliding=sliding,
+        friction_stiffness=friction_stiffness,
+    )
+    return replace(terms, residual=terms.rows * normal[:, None, None])
+
+
+def touching(meeting: Meeting, state: ContactState, scale: Array) -> NDArray[np.bool_]:
+    """Return which slaves are in contact."""
+    return state.force > -scale * meeting.penetration
+
+
+def friction_memory(state: ContactState, position: Array, slip_length: float) -> Array:
+    """Present w of the friction law (n, 2)."""
+    return state.memory + (state.anchor.lateral_offset(position) - state.offset) / slip_length
+
+
+def remembered(
+    meeting: Meeting, state: ContactState, position: Array, scale: Array, slip_length: float
+) -> ContactState:
+    """Return the state from which the next load starts."""
+    w = friction_memory(state, position, slip_length)
+    size = np.sqrt((w**2).sum(1, keepdims=True))
+    w = w * np.minimum(1.0, _MEMORY / np.maximum(size, 1e-300))
+    w = np.where(touching(meeting, state, scale)[:, None], w, 0.0)
+    return ContactState(state.force, w, meeting, meeting.lateral_offset(position))
+
+
+def assembled(terms: list[ContactTerms], n_nodes: int) -> tuple[sp.bsr_matrix, Array]:
+    """Tangent and forces (n_nodes, 3) of contacts; forces are those after the jump of N."""
+    force = np.zeros((n_nodes, 3))
+    rows, columns, blocks = [], [], []
+    for term in terms:
+        nodes = term.meeting.nodes
+        np.add.at(force, nodes, term.residual - term.rows * term.jump[:, None, None])
+        q = nodes.shape[1]
+        rows.append(np.repeat(nodes, q, axis=1).ravel())
+        columns.append(np.tile(nodes, q).ravel())
+        blocks.append(term.blocks().reshape(-1, 9))
+    keys, place = np.unique(
+        np.concatenate(rows) * n_nodes + np.concatenate(columns), return_inverse=True
+    )
+    gather = sp.csr_matrix(
+        (np.ones(place.size), (place, np.arange(place.size))), shape=(keys.size, place.size)
+    )
+    data = (gather @ np.concatenate(blocks)).reshape(-1, 3, 3)
+    starts = np.searchsorted(keys, n_nodes * np.arange(n_nodes + 1))
+    matrix = sp.bsr_matrix((data, keys % n_nodes, starts), shape=(3 * n_nodes, 3 * n_nodes))
+    return matrix, force
+
+
+@nb.njit(cache=True)
+def _weights(s, n, w):
+    """Catmull-Rom weights w[3, 4] (value, first, second derivative) on nodes base..base + 3.
+
+    At its ends the curve has a third-order one-sided tangent, and beyond them it is straight.
+    Returns the base and how far s lies outside 0..n.
+    """
+    outside = s if s < 0 else (s - n if s > n else 0.0)
+    i = min(max(int(np.floor(s)), 0), n - 1)
+    t = min(max(s - i, 0.0), 1.0)
+    v = np.empty((3, 4))
+    v[0, 0] = t * (-0.5 + t * (1 - 0.5 * t))
+    v[0, 1] = 1 + t * t * (-2.5 + 1.5 * t)
+    v[0, 2] = t * (0.5 + t * (2 - 1.5 * t))
+    v[0, 3] = t * t * (-0.5 + 0.5 * t)
+    v[1, 0] = -0.5 + t * (2 - 1.5 * t)
+    v[1, 1] = t * (-5 + 4.5 * t)
+    v[1, 2] = 0.5 + t * (4 - 4.5 * t)
+    v[1, 3] = t * (-1 + 1.5 * t)
+    v[2, 0] = 2 - 3 * t
+    v[2, 1] = -5 + 9 * t
+    v[2, 2] = 4 - 9 * t
+    v[2, 3] = -1 + 3 * t
+    base = min(max(i - 1, 0), n - 3)
+    w[:] = 0
+    for d in range(3):
+        for a in range(4):
+            node = i - 1 + a
+            if node < 0:
+                w[d, 0] += 3 * v[d, a]
+                w[d, 1] -= 3 * v[d, a]
+                w[d, 2] += v[d, a]
+            elif node > n:
+                w[d, 3] += 3 * v[d, a]
+                w[d, 2] -= 3 * v[d, a]
+                w[d, 1] += v[d, a]
+            else:
+                w[d, node - base] += v[d, a]
+    if outside != 0:
+        for a in range(4):
+            w[0, a] += outside * w[1, a]
+            w[2, a] = 0
+    return base, outside
+
+
+@nb.njit(cache=True)
+def _project(
+    slaves, surface, numbers, start, nodes, weights, gradient, direction, curvature, depth
+):
+    ny, nx = surface.shape[0] - 1, surface.shape[1] - 1
+    wx, wy = np.empty((3, 4)), np.empty((3, 4))
+    d = np.empty((6, 3))  # S and its derivatives: 0, x, y, xx, xy, yy (of the parameters)
+    for s in range(slaves.shape[0]):
+        px, py = start[s, 0], start[s, 1]
+        bx = by = 0
+        ox = oy = det = 0.0
+        for iteration in range(50):
+            bx, ox = _weights(px, nx, wx)
+            by, oy = _weights(py, ny, wy)
+            d[:] = 0
+            for b in range(4):
+                for a in range(4):
+                    for c in range(3):
+                        x = surface[by + b, bx + a, c]
+                        d[0, c] += wy[0, b] * wx[0, a] * x
+                        d[1, c] += wy[0, b] * wx[1, a] * x
+                        d[2, c] += wy[1, b] * wx[0, a] * x
+                        d[3, c] += wy[0, b] * wx[2, a] * x
+                        d[4, c] += wy[1, b] * wx[1, a] * x
+                        d[5, c] += wy[2, b] * wx[0, a] * x
+            det = d[1, 0] * d[2, 1] - d[2, 0] * d[1, 1]
+            rx, ry = slaves[s, 0] - d[0, 0], slaves[s, 1] - d[0, 1]
+            sx = (rx * d[2, 1] - ry * d[2, 0]) / det
+            sy = (ry * d[1, 0] - rx * d[1, 1]) / det
+            if abs(sx) + abs(sy) < 1e-12:
+                break
+            px += min(max(sx, -1.0), 1.0)
+            py += min(max(sy, -1.0), 1.0)
+            px = min(max(px, -2 * _REACH), nx + 2 * _REACH)
+            py = min(max(py, -2 * _REACH), ny + 2 * _REACH)
+        start[s, 0], start[s, 1] = px, py
+        size = np.sqrt(abs(det))
+        met = abs(ox) < _REACH and abs(oy) < _REACH
+        # the rounding of the edge
+        drop = _ROUNDING * size
+        d[0, 2] -= 0.5 * drop * (ox * ox + oy * oy)
+        d[1, 2] -= drop * ox
+        d[2, 2] -= drop * oy
+        if ox != 0:
+            d[3, 2] -= drop
+        if oy != 0:
+            d[5, 2] -= drop
+        hx = (d[1, 2] * d[2, 1] - d[2, 2] * d[1, 1]) / det
+        hy = (d[2, 2] * d[1, 0] - d[1, 2] * d[2, 0]) / det
+        i00, i01, i10, i11 = d[2, 1] / det, -d[2, 0] / det, -d[1, 1] / det, d[1, 0] / det
+        m0 = d[3, 2] - hx * d[3, 0] - hy * d[3, 1]
+        m1 = d[4, 2] - hx * d[4, 0] - hy * d[4, 1]
+        m2 = d[5, 2] - hx * d[5, 0] - hy * d[5, 1]
+        # inverse Jacobian: parameters by x (i00, i10) and by y (i01, i11)
+        curvature[s, 0, 0] = i00 * (m0 * i00 + m1 * i10) + i10 * (m1 * i00 + m2 * i10)
+        curvature[s, 1, 1] = i01 * (m0 * i01 + m1 * i11) + i11 * (m1 * i01 + m2 * i11)
+        curvature[s, 0, 1] = i00 * (m0 * i01 + m1 * i11) + i10 * (m1 * i01 + m2 * i11)
+        curvature[s, 1, 0] = curvature[s, 0, 1]
+        direction[s, 0], direction[s, 1], direction[s, 2] = -hx, -hy, 1.0
+        depth[s] = d[0, 2] - slaves[s, 2]
+        for b in range(4):
+            for a in range(4):
+                n = 1 + 4 * b + a
+                nodes[s, n] = numbers[by + b, bx + a]
+                weights[s, n] = -wy[0, b] * wx[0, a]
+                gx, gy = wy[0, b] * wx[1, a], wy[1, b] * wx[0, a]
+                gradient[s, n, 0] = gx * i00 + gy * i10
+                gradient[s, n, 1] = gx * i01 + gy * i11
+        if not met:
+            depth[s] = -10 * size
+            direction[s, 0] = direction[s, 1] = 0
+            curvature[s] = 0
+            gradient[s] = 0
