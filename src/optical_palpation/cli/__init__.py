@@ -14,8 +14,11 @@ from typing import Annotated
 import typer
 
 from optical_palpation.cli.demo import demo
+from optical_palpation.cli.friction import friction
 from optical_palpation.cli.material import material
 from optical_palpation.cli.stress import StressCommand, stress
+from optical_palpation.cli.study import new, run
+from optical_palpation.cli.thickness import thickness
 from optical_palpation.errors import ConvergenceError, OpticalPalpationError
 
 app = typer.Typer(
@@ -27,6 +30,10 @@ app = typer.Typer(
 )
 app.command(cls=StressCommand)(stress)
 app.command()(demo)
+app.command()(new)
+app.command()(run)
+app.command()(thickness)
+app.command()(friction)
 app.command()(material)
 
 

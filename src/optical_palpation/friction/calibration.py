@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from importlib.metadata import version
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from optical_palpation.errors import ConvergenceError, InputError
+from optical_palpation.files import replacing
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.contact import remember_slip
 from optical_palpation.mechanics.direct import DirectSolver
@@ -220,6 +223,63 @@ def calibration_curves(
             "bulk_to_shear": material.bulk_to_shear,
         },
     )
+
+
+def write_calibration(calibration: xr.DataArray, path: str | Path) -> None:
+    """Write calibration curves, with all they were made for, as NetCDF.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    dataset = calibration.to_dataset(name="normalised_displacement")
+    dataset.attrs = {
+        "software": "optical-palpation",
+        "software_version": version("optical-palpation"),
+    }
+    content = dataset.to_netcdf(engine="h5netcdf")
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def read_calibration(
+    path: str | Path, *, loaded_thickness: float | None = None, region: float | None = None
+) -> xr.DataArray:
+    """Read back what :func:`write_calibration` wrote.
+
+    Parameters
+    ----------
+    path
+        The file.
+    loaded_thickness, region
+        Those of the measurement, mm, if they are to be compared with the calibration's.
+
+    Raises
+    ------
+    InputError
+        The file is missing, holds no calibration curves, or they were made for another thickness
+        or region (by more than 2 %).
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        dataset = xr.load_dataset(path, engine="h5netcdf")
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: is no NetCDF-4 file ({error})") from None
+    if "normalised_displacement" not in dataset:
+        found = ", ".join(map(str, dataset.data_vars)) or "nothing"
+        raise InputError(f"{path}: holds no calibration curves, but {found}")
+    calibration = dataset["normalised_displacement"]
+    for name, measured in (("loaded_thickness", loaded_thickness), ("region", region)):
+        made_for = calibration.attrs.get(f"{name}_mm", np.nan)
+        if measured is not None and not abs(measured - made_for) <= 0.02 * made_for:
+            raise InputError(
+                f"{path}: was made for a {name.replace('_', ' ')} of {made_for:g} mm, and that of "
+                f"the measurement is {measured:g} mm; make new curves"
+            )
+    return calibration
 
 
 def _nodes_about_centre(size: float, finest: float) -> Array:

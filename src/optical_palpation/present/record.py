@@ -58,6 +58,8 @@ def write_friction(estimate: FrictionEstimate, path: str | Path, **about: Any) -
         The file cannot be written.
     """
     profile = estimate.profile
+    if bool(profile["standard_error"].isnull().all()):  # the measurement came without errors
+        profile = profile.drop_vars("standard_error")
     _write(
         path,
         {
@@ -74,6 +76,7 @@ def write_friction(estimate: FrictionEstimate, path: str | Path, **about: Any) -
 
 def _write(path: str | Path, record: Mapping[str, Any]) -> None:
     about = {"software": "optical-palpation", "software_version": version("optical-palpation")}
-    text = json.dumps(about | dict(record), indent=2, allow_nan=False)
+    # NumPy's numbers and arrays say by themselves what they are as plain ones.
+    text = json.dumps(about | dict(record), indent=2, allow_nan=False, default=lambda v: v.tolist())
     with atomic(path, "record") as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
