@@ -8,6 +8,7 @@ from optical_palpation.analysis.features import (
     perturbation_correlation,
 )
 from optical_palpation.analysis.force import ForceBalance, force_balance
+from optical_palpation.analysis.layer_uncertainty import stress_uncertainty
 from optical_palpation.analysis.resolution import EdgeResponse, edge_response
 from optical_palpation.analysis.uncertainty import Noise, propagate_uncertainty
 
@@ -23,4 +24,5 @@ __all__ = [
     "force_balance",
     "perturbation_correlation",
     "propagate_uncertainty",
+    "stress_uncertainty",
 ]

@@ -19,6 +19,7 @@ from optical_palpation.cli.material import material
 from optical_palpation.cli.stress import StressCommand, stress
 from optical_palpation.cli.study import new, run
 from optical_palpation.cli.thickness import thickness
+from optical_palpation.cli.uncertainty import uncertainty
 from optical_palpation.errors import ConvergenceError, OpticalPalpationError
 
 app = typer.Typer(
@@ -35,6 +36,7 @@ app.command()(run)
 app.command()(thickness)
 app.command()(friction)
 app.command()(material)
+app.command()(uncertainty)
 
 
 def _print_version(wanted: bool) -> None:

@@ -1,0 +1,115 @@
+"""Errors of friction, material and thickness, propagated through the computational method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import xarray as xr
+
+from optical_palpation.analysis.uncertainty import Noise, propagate_uncertainty
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation.computational import Progress, computational_stress
+from optical_palpation.palpation.result import StressResult
+
+
+def stress_uncertainty(
+    loaded: xr.DataArray,
+    initial_thickness: float | xr.DataArray,
+    material: MooneyRivlin,
+    *,
+    window_friction: float,
+    sample_friction: float,
+    window_friction_error: float = 0.05,
+    sample_friction_error: float = 0.05,
+    modulus_error: float = 0.0,
+    thickness_error: float = 0.0,
+    thickness_noise: Noise | None = None,
+    nominal: StressResult | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    """Propagate errors of the inputs to the computational stress and the total force.
+
+    The error bars of section 5 of the paper, as maps: each error that is not zero costs two solves
+    (noise, two for each probe).
+
+    Parameters
+    ----------
+    loaded, initial_thickness, material, window_friction, sample_friction
+        As for :func:`~optical_palpation.palpation.computational_stress`.
+    window_friction_error, sample_friction_error
+        Errors of the coefficients.
+    modulus_error
+        Relative error of the material's stiffness, common to C10 and C01, which come from one fit.
+    thickness_error
+        Error common to all of the loaded thickness, mm, as from a wrong refractive index.
+    thickness_noise
+        Error of the loaded thickness that differs from place to place, mm.
+    nominal
+        Solution for the inputs as they are, if there is one already.
+    progress
+        As for ``computational_stress``; the stage also counts the solves.
+    options
+        Further arguments of ``computational_stress``.
+
+    Returns
+    -------
+    xarray.Dataset
+        As from :func:`~optical_palpation.analysis.propagate_uncertainty`.
+
+    Raises
+    ------
+    InputError
+        If no error is given, or an input or error cannot be used.
+    ConvergenceError
+        If a solve does not reach the full load.
+    """
+    values: dict[str, Any] = {
+        "window_friction": window_friction,
+        "sample_friction": sample_friction,
+        "modulus": 1.0,
+        "thickness": loaded,
+        "thickness_noise": xr.zeros_like(loaded),
+    }
+    given: dict[str, float | Noise | None] = {
+        "window_friction": window_friction_error,
+        "sample_friction": sample_friction_error,
+        "modulus": modulus_error,
+        "thickness": thickness_error,
+        "thickness_noise": thickness_noise,
+    }
+    errors = {name: error for name, error in given.items() if error}
+    solves = sum(2 * (e.probes if isinstance(e, Noise) else 1) for e in errors.values())
+    solves += nominal is None
+    count = 0
+
+    def solve(
+        window_friction: float,
+        sample_friction: float,
+        modulus: float,
+        thickness: xr.DataArray,
+        thickness_noise: xr.DataArray,
+    ) -> StressResult:
+        nonlocal count
+        count += 1
+        stage = f"solve {count} of {solves}"
+
+        def report(now: Progress) -> None:
+            if progress:
+                progress(replace(now, stage=f"{stage}: {now.stage}"))
+
+        # Sums of maps lose what the map says of itself, such as the extent of the layer.
+        here = (thickness + thickness_noise).assign_attrs(loaded.attrs)
+        return computational_stress(
+            here,
+            initial_thickness,
+            MooneyRivlin(material.c10 * modulus, material.c01 * modulus, material.bulk_to_shear),
+            window_friction=window_friction,
+            sample_friction=sample_friction,
+            progress=report,
+            **options,
+        )
+
+    return propagate_uncertainty(solve, values, errors, nominal=nominal)

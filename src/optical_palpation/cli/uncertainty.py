@@ -1,0 +1,118 @@
+"""``optical-palpation uncertainty``: what the errors of the inputs do to the stress."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from optical_palpation.cli.progress import ProgressDisplay
+
+
+def uncertainty(
+    file: Annotated[Path, typer.Argument(help="The study file.", show_default=False)],
+    window_friction: Annotated[
+        float, typer.Option(help="Error of the friction coefficient at the window.", min=0)
+    ] = 0.05,
+    sample_friction: Annotated[
+        float, typer.Option(help="Error of the friction coefficient at the sample.", min=0)
+    ] = 0.05,
+    modulus: Annotated[
+        float, typer.Option(help="Relative error of the layer's stiffness, 0.02 for 2 %.", min=0)
+    ] = 0.0,
+    thickness: Annotated[
+        float,
+        typer.Option(help="Error common to the whole loaded thickness, mm.", min=0),
+    ] = 0.0,
+    thickness_noise: Annotated[
+        float,
+        typer.Option(help="Random error of the loaded thickness of each pixel, mm.", min=0),
+    ] = 0.0,
+    noise_correlation: Annotated[
+        float,
+        typer.Option(
+            help="Standard deviation of the Gaussian over which that noise is correlated, mm.",
+            min=0,
+        ),
+    ] = 0.0,
+    probes: Annotated[
+        int, typer.Option(help="Random fields that stand for the noise, two solves each.", min=1)
+    ] = 4,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            help="Error maps (.nc); uncertainty.nc in the study's result folder.",
+            show_default=False,
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            help="Picture (.png, .pdf); uncertainty.png in the study's result folder.",
+            show_default=False,
+        ),
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> None:
+    """Propagate errors of friction, material and thickness to the stress of a study.
+
+    Runs the study first where it is not complete. Every error costs two solves.
+    """
+    import xarray as xr
+
+    from optical_palpation import present, study
+    from optical_palpation.analysis import Noise, stress_uncertainty
+    from optical_palpation.material import MooneyRivlin
+    from optical_palpation.present.uncertainty_figure import write_uncertainty_figure
+    from optical_palpation.present.uncertainty_file import write_uncertainty
+
+    if not any((window_friction, sample_friction, modulus, thickness, thickness_noise)):
+        raise typer.BadParameter("all errors are zero: give at least one")
+    asked = study.read_study(file)
+    wanted = {"result": output, "picture": plot}
+    present.check_outputs({k: path for k, path in wanted.items() if path is not None}, [file])
+    with ProgressDisplay(quiet) as progress:
+        done = study.run_study(asked, progress=progress)
+        nominal = present.read_result(done.folder / "stress.nc")
+        measured = xr.load_dataset(done.folder / "thickness.nc", engine="h5netcdf")
+        loaded = measured["loaded_thickness"]
+        noise = None
+        if thickness_noise:
+            pixel = float(loaded["x"][1] - loaded["x"][0])
+            noise = Noise(thickness_noise, noise_correlation / pixel, probes)
+        errors = stress_uncertainty(
+            loaded,
+            measured["initial_thickness"],
+            MooneyRivlin(**asked.material.model_dump()),
+            window_friction=asked.friction.window,
+            sample_friction=asked.friction.sample,
+            window_friction_error=window_friction,
+            sample_friction_error=sample_friction,
+            modulus_error=modulus,
+            thickness_error=thickness,
+            thickness_noise=noise,
+            nominal=nominal,
+            progress=progress,
+            **asked.grid.model_dump(),
+        )
+    output = output or done.folder / "uncertainty.nc"
+    plot = plot or done.folder / "uncertainty.png"
+    write_uncertainty(errors, output)
+    write_uncertainty_figure(errors, plot)
+    if quiet:
+        return
+    force, error = errors.attrs["force_mN"], errors.attrs["force_error_mN"]
+    print(f"total force {force:.4g} ± {error:.2g} mN")
+    for name in errors["input"].values:
+        here = errors.sel(input=name)
+        print(
+            f"  {str(name).replace('_', ' ')}: ± {float(here['force_contribution']):.2g} mN, "
+            f"± {float(here['contribution'].mean()):.2g} kPa on average"
+        )
+    stress = float(errors["axial_stress"].mean())
+    print(
+        f"axial stress on average {stress:.3g} ± {float(errors['axial_stress_error'].mean()):.2g}"
+        " kPa"
+    )
+    print(f"result: {output}\npicture: {plot}")
