@@ -16,6 +16,10 @@ class MaterialError(InputError):
     """Material parameters that describe no stable material."""
 
 
+class InsufficientMemoryError(InputError):
+    """A problem that needs more memory than there is."""
+
+
 class OutputError(OpticalPalpationError, OSError):
     """A result could not be written."""
 

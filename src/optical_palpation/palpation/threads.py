@@ -1,0 +1,53 @@
+"""How many threads a computation may use, and holding all libraries to it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import ceil
+
+import numba as nb
+from threadpoolctl import threadpool_limits
+
+from optical_palpation.palpation.memory import control_groups
+
+
+def available_threads() -> int:
+    """Cores that this process may use, by its affinity and the quota of its control groups."""
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    launched = nb.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+    return max(1, ceil(min(count or 1, launched, _quota())))
+
+
+@contextmanager
+def limited_threads(threads: int | None = None) -> Iterator[int]:
+    """Hold the kernels and the linear algebra libraries to ``threads``, at most all there are.
+
+    Yields
+    ------
+    int
+        The number of threads.
+    """
+    number = min(threads or available_threads(), available_threads())
+    before = nb.get_num_threads()
+    nb.set_num_threads(number)
+    try:
+        with threadpool_limits(number, user_api="blas"):
+            yield number
+    finally:
+        nb.set_num_threads(before)
+
+
+def _quota() -> float:
+    """Cores' worth of time that the control groups of the process grant it (Linux)."""
+    quota = float("inf")
+    for second, group in control_groups("cpu"):
+        names = ["cpu.max"] if second else ["cpu.cfs_quota_us", "cpu.cfs_period_us"]
+        try:
+            granted, period = " ".join((group / name).read_text() for name in names).split()
+            if int(granted) > 0:
+                quota = min(quota, int(granted) / int(period))
+        except (OSError, ValueError):  # no such group, or "max": no limit
+            continue
+    return quota
