@@ -17,8 +17,8 @@ sample, free edges.
 
 MAPS = {
     "coin": "the measured map of a 5-cent coin (5 x 5 mm; mirrored to 7 x 7 mm)",
-    "demo": "the map that `optical-palpation demo` makes (5 x 5 mm; mirrored to 7 x 7 mm), because "
-    "the measured one was not there",
+    "made": "a made map with the relief of a coin (5 x 5 mm; mirrored to 7 x 7 mm), because the "
+    "measured one was not there",
 }
 
 NOTES = """\
