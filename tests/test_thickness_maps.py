@@ -1,5 +1,7 @@
 """Every format gives back the same map, the right way round, on the right coordinates."""
 
+import struct
+
 import h5py
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from optical_palpation.thickness import (
     thickness_map,
     write_thickness_map,
 )
+from optical_palpation.volume import hdf5
 
 
 def write_matlab_73(path, **variables):
@@ -61,6 +64,7 @@ WRITERS = {
         path, engine="h5netcdf"
     ),
 }
+HDF5 = {"v73.mat", "map.nc", "transposed.nc"}
 # No wider in range than text and single precision carry; NaN marks missing pixels.
 MAPS = hnp.arrays(
     st.sampled_from([np.float32, np.float64]),
@@ -73,6 +77,13 @@ MAPS = hnp.arrays(
 ).filter(lambda map_: np.isfinite(map_).any())
 
 
+@pytest.fixture
+def untried(monkeypatch):
+    """HDF5 files are not tried out in a process of their own, which takes its time to start."""
+    monkeypatch.setattr(hdf5, "open_file", lambda path: h5py.File(path, "r"))
+
+
+@pytest.mark.usefixtures("untried")
 @pytest.mark.parametrize("name", WRITERS)
 @given(values=MAPS)
 def test_values_and_orientation_survive_every_format(tmp_path, name, values):
@@ -87,6 +98,7 @@ def test_values_and_orientation_survive_every_format(tmp_path, name, values):
     assert result.attrs["missing_share"] == pytest.approx(np.isnan(values).mean())
 
 
+@pytest.mark.usefixtures("untried")
 @given(values=MAPS, data=st.data())
 def test_written_map_is_read_back_whole(tmp_path, values, data):
     steps = st.floats(1e-3, 1.0)
@@ -247,6 +259,18 @@ def test_matlab_coordinates_as_row_and_column_vectors(tmp_path):
         np.testing.assert_array_equal(result, values)
         np.testing.assert_allclose(result.x, [0.0, 0.01, 0.02])
         np.testing.assert_allclose(result.y, [0.005, 0.006])
+
+
+def test_whole_numbers_that_matlab_stores_as_integers(tmp_path):
+    """A double array of whole micrometres takes two bytes a value in a v5 file."""
+    path = tmp_path / "v5.mat"
+    scipy.io.savemat(path, {"L1_um": np.array([[400, 410, 420], [430, 440, 450]], np.uint16)})
+    flags = struct.pack("<4I", 6, 8, 11, 0)  # 11 is the class uint16, 6 is double
+    content = path.read_bytes()
+    assert content.count(flags) == 1
+    path.write_bytes(content.replace(flags, struct.pack("<4I", 6, 8, 6, 0)))
+    result = read_thickness_map(path, field_of_view=(1, 1))
+    np.testing.assert_allclose(result, [[0.4, 0.41, 0.42], [0.43, 0.44, 0.45]])
 
 
 def test_coordinates_as_meshgrids(tmp_path):

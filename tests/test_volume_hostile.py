@@ -398,7 +398,7 @@ def mat_size(folder: Path) -> tuple[Path, dict[str, Any], str]:
     at = content.index(struct.pack("<3i", 7, 5, 6))
     content[at : at + 12] = struct.pack("<3i", 2**31 - 1, 2**31 - 1, 2**31 - 1)
     (folder / "a.mat").write_bytes(content)
-    return folder / "a.mat", NPY, "840 bytes for"
+    return folder / "a.mat", NPY, "840 bytes of stored type 7"
 
 
 def mat_negative(folder: Path) -> tuple[Path, dict[str, Any], str]:

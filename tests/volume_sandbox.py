@@ -36,10 +36,10 @@ class Sandbox:
         self._process.start()
         far.close()
 
-    def open(self, path: Path, facts: dict[str, Any]) -> Outcome:
-        """Open a volume and read its B-scans (at most 20 of them)."""
+    def open(self, path: Path, facts: dict[str, Any], what: str = "volume") -> Outcome:
+        """Read a ``volume`` (at most 20 of its B-scans) or a thickness ``map``."""
         try:
-            self._pipe.send((str(path), facts))
+            self._pipe.send((what, str(path), facts))
             if self._pipe.poll(HANG):
                 return Outcome(*self._pipe.recv())
             outcome = Outcome(f"hang: more than {HANG} s", HANG, 0)
@@ -58,19 +58,16 @@ class Sandbox:
 def worker(pipe: Connection) -> None:
     """Open the files whose paths come through the pipe; reply with the outcome."""
     from optical_palpation.errors import InputError
-    from optical_palpation.volume import open_volume
 
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("ignore")
     resource.setrlimit(resource.RLIMIT_AS, (12 * 2**30, 12 * 2**30))
     while True:
-        path, facts = pipe.recv()
+        what, path, facts = pipe.recv()
         Path("/proc/self/clear_refs").write_text("5")  # forget the peak so far
         base, start = _memory("VmRSS"), time.perf_counter()
         try:
-            with open_volume(path, **facts) as volume:
-                for y in range(min(len(volume), 20)):
-                    volume.bscan(y)
+            READ[what](path, facts)
             text = "read"
         except InputError as error:
             text = f"InputError: {error}"
@@ -80,6 +77,25 @@ def worker(pipe: Connection) -> None:
         except BaseException as error:
             text = "".join(traceback.format_exception(error))
         pipe.send((text, time.perf_counter() - start, _memory("VmHWM") - base))
+
+
+def _read_volume(path: str, facts: dict[str, Any]) -> None:
+    from optical_palpation.volume import open_volume
+
+    with open_volume(path, **facts) as volume:
+        for y in range(min(len(volume), 20)):
+            volume.bscan(y)
+
+
+def _read_map(path: str, facts: dict[str, Any]) -> None:
+    from optical_palpation.thickness import read_thickness_map
+
+    values = read_thickness_map(path, **facts)
+    assert values.ndim == 2
+    assert not (values.values <= 0).any()
+
+
+READ = {"volume": _read_volume, "map": _read_map}
 
 
 def _own_place(error: BaseException) -> str | None:

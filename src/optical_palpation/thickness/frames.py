@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -113,16 +114,7 @@ def inside_layer(thickness: xr.DataArray) -> NDArray[np.bool_]:
 def checked_values(values: ArrayLike, where: str) -> NDArray[np.float64]:
     """Return `values` as float64 if they can be a thickness map, else raise an InputError."""
     array = np.asarray(values)
-    if array.dtype.kind != "f":
-        raise InputError(
-            f"{where} holds values of type {array.dtype}; a thickness map needs floating-point "
-            "lengths" + (" (whole numbers may be pixel counts)" if array.dtype.kind in "iu" else "")
-        )
-    if array.ndim != 2 or min(array.shape) < 2:
-        raise InputError(
-            f"{where} has the shape {' x '.join(map(str, array.shape)) or 'of a single number'}; "
-            "a thickness map has two dimensions of at least 2 pixels"
-        )
+    check_kind(array.shape, array.dtype, where)
     array = array.astype(np.float64)
     missing = np.isnan(array)
     if missing.all():
@@ -139,6 +131,20 @@ def checked_values(values: ArrayLike, where: str) -> NDArray[np.float64]:
                 "mark missing pixels with NaN"
             )
     return array
+
+
+def check_kind(shape: tuple[int, ...], dtype: np.dtype[Any], where: str) -> None:
+    """Raise an InputError if no array of this shape and type can be a thickness map."""
+    if dtype.kind != "f":
+        raise InputError(
+            f"{where} holds values of type {dtype}; a thickness map needs floating-point "
+            "lengths" + (" (whole numbers may be pixel counts)" if dtype.kind in "iu" else "")
+        )
+    if len(shape) != 2 or min(shape) < 2:
+        raise InputError(
+            f"{where} has the shape {' x '.join(map(str, shape)) or 'of a single number'}; "
+            "a thickness map has two dimensions of at least 2 pixels"
+        )
 
 
 def _ascending(given: ArrayLike, axis: str, count: int, where: str) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from optical_palpation.errors import InputError
 from optical_palpation.files import replacing
 from optical_palpation.thickness.formats import Variable, read_variables
-from optical_palpation.thickness.frames import checked_values, thickness_map
+from optical_palpation.thickness.frames import check_kind, checked_values, thickness_map
 
 LengthUnit = Literal["mm", "um"]
 
@@ -83,10 +83,11 @@ def read_thickness_map(
     where = f"{path}, variable {name}" if name else str(path)
     array = variables[name]
     unit = _length_unit(name, array.unit, length_unit, where) or "mm"
+    check_kind(array.shape, array.dtype, where)
     values = checked_values(array.values, where)
-    filled = variables["filled"].values if "filled" in variables else np.zeros(())
-    if filled.shape == values.shape and filled.dtype.kind in "biu":
-        values[filled != 0] = np.nan
+    filled = variables.get("filled")
+    if filled is not None and filled.shape == values.shape and filled.dtype.kind in "biu":
+        values[filled.values != 0] = np.nan
     dims = [_axis(dim) for dim in array.dims]
     if dims == ["x", "y"]:
         values = values.T
@@ -136,7 +137,7 @@ def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.Pat
 
 def _choose(variables: dict[str, Variable], wanted: str | None, path: Path) -> str:
     listing = ", ".join(
-        f"{name} ({' x '.join(map(str, array.values.shape)) or 'scalar'} {array.values.dtype})"
+        f"{name} ({' x '.join(map(str, array.shape)) or 'scalar'} {array.dtype})"
         for name, array in variables.items()
     )
     if wanted is not None:
@@ -150,9 +151,9 @@ def _choose(variables: dict[str, Variable], wanted: str | None, path: Path) -> s
     fitting = [
         name
         for name, array in variables.items()
-        if array.values.ndim == 2
-        and array.values.dtype.kind == "f"
-        and min(array.values.shape) > 1
+        if len(array.shape) == 2
+        and array.dtype.kind == "f"
+        and min(array.shape) > 1
         and _axis(name) not in ("x", "y")
     ]
     if "thickness" in fitting:
@@ -161,7 +162,7 @@ def _choose(variables: dict[str, Variable], wanted: str | None, path: Path) -> s
         problem = "more than one array that can be" if fitting else "no array that can be"
         raise InputError(
             f"{path} holds {problem} a thickness map (two-dimensional, floating-point, at least "
-            f"2 x 2 pixels): {listing or 'it is empty'}"
+            f"2 x 2 pixels): {listing or 'it has no arrays of numbers'}"
             + (". Name one of them as variable" if fitting else "")
         )
     return fitting[0]
@@ -214,15 +215,17 @@ def _coordinate(
         raise InputError(f"{path} has several coordinates along {axis}: {', '.join(own)}")
     array = variables[own[0]]
     count = shape["yx".index(axis)]
-    vector = array.values.squeeze()
+    vector = np.empty(0)
+    if array.dtype.kind in "fiu" and tuple(n for n in array.shape if n > 1) in ((count,), shape):
+        vector = array.values.squeeze()
     if vector.shape == shape:  # a coordinate of every pixel, as meshgrid makes them
         grid = vector if axis == "x" else vector.T
         vector = grid[0] if np.array_equal(grid, np.broadcast_to(grid[0], grid.shape)) else grid
-    if vector.shape != (count,) or vector.dtype.kind not in "fiu":
+    if vector.shape != (count,):
         raise InputError(
             f"{where} should hold the {axis} coordinates of {count} pixels (the map has "
             f"{shape[0]} rows along y and {shape[1]} columns along x), but its shape is "
-            f"{array.values.shape} and its type {array.values.dtype}. If it is something else, "
+            f"{array.shape} and its type {array.dtype}. If it is something else, "
             "store the map in a file of its own"
         )
     unit = _length_unit(own[0], array.unit, None, where) or "mm"

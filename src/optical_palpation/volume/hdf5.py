@@ -96,19 +96,24 @@ def find_dataset(path: Path, file: Any, variable: str | None) -> Any:
 
 def dataset_array(path: Path, dataset: Any) -> LazyArray:
     """Array of a dataset whose samples lie in this file."""
-    where = f"{path}: {dataset.name}"
-    if dataset.external or dataset.is_virtual:
-        raise InputError(f"{where} keeps its samples in other files; copy them into one")
     names = dataset.dtype.names
     parts = set(names or ()) == {"real", "imag"}
     dtype = np.dtype(np.complex128) if parts else dataset.dtype
-    check_array(dataset.shape, dtype, where)
+    check_array(dataset.shape, dtype, f"{path}: {dataset.name}")
+    check_stored(path, dataset)
+    return LazyArray(_MatlabComplex(dataset) if parts else dataset, dataset.chunks)
+
+
+def check_stored(path: Path, dataset: Any) -> None:
+    """Refuse a dataset whose values lie elsewhere, or are more than what is stored can hold."""
+    where = f"{path}: {dataset.name}"
+    if dataset.external or dataset.is_virtual:
+        raise InputError(f"{where} keeps its samples in other files; copy them into one")
     if dataset.chunks and nbytes(dataset.chunks, dataset.dtype) > MAX_BSCAN_BYTES:
         raise InputError(f"{where} has chunks of {dataset.chunks} samples: too large to read")
     stored = dataset.id.get_storage_size()
     if stored == 0 or nbytes(dataset.shape, dataset.dtype) > max(2**26, _MAX_RATIO * stored):
         raise InputError(f"{where} of shape {dataset.shape} has only {stored} bytes stored")
-    return LazyArray(_MatlabComplex(dataset) if parts else dataset, dataset.chunks)
 
 
 class _MatlabComplex:

@@ -28,9 +28,12 @@ def main(path: str) -> None:
             if item.size is not None and item.size <= 100:
                 item[()]
             for key in item.attrs:
-                # The lists of references between dimensions are never asked for.
-                if not key.isupper():
+                # The list of the datasets that a dimension belongs to is never asked for.
+                if key != "REFERENCE_LIST":
                     item.attrs[key]
+            for of_axis in item.attrs.get("DIMENSION_LIST", ()):
+                for scale in of_axis[:1]:
+                    _ = file[scale].name
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)

@@ -67,6 +67,17 @@ class Variable:
     compressed: bool
     order: str
 
+    @property
+    def dtype(self) -> np.dtype[Any] | None:
+        """Type of the values, None for text."""
+        if self.kind == _CHAR_CLASS:
+            return None
+        real = np.dtype(self.order + _CLASSES[self.kind])
+        if not self.is_complex:
+            return real
+        single = real.itemsize <= 4 and real.kind == "f"
+        return np.dtype(np.complex64 if single else np.complex128)
+
 
 def variables(path: Path) -> dict[str, Variable]:
     """Read the headers of all variables that are arrays of numbers or text."""
@@ -111,7 +122,10 @@ def load(path: Path, variable: Variable) -> FileArray | LazyArray | str:
         target = np.dtype(variable.order + _CLASSES[variable.kind])
         part = np.dtype(variable.order + _STORED.get(stored, "V1"))
         if part.kind == "V" or size != count * part.itemsize:
-            raise InputError(f"{where}: {size} bytes for {variable.shape} samples of type {target}")
+            raise InputError(
+                f"{where}: {size} bytes of stored type {stored} cannot be {variable.shape} samples "
+                f"of type {target}: damaged"
+            )
         if small is None and not variable.compressed and not variable.is_complex and part == target:
             return FileArray(path, target, variable.shape, file.tell(), order="F")
 
@@ -126,9 +140,7 @@ def load(path: Path, variable: Variable) -> FileArray | LazyArray | str:
         part = np.dtype(variable.order + _STORED.get(stored, "V1"))
         if part.kind == "V" or size != count * part.itemsize:
             raise InputError(f"{where}: the imaginary part does not fit the real one")
-        values = np.empty(
-            count, np.complex64 if target.itemsize <= 4 and target.kind == "f" else np.complex128
-        )
+        values = np.empty(count, variable.dtype)
         values.real, values.imag = real, _samples(stream, count, part, small, where)
         return LazyArray(values.reshape(variable.shape, order="F"))
 

@@ -32,7 +32,8 @@ def read(path: Path, variable: str | None) -> Source:
     """Read the header; in an ``.npz`` find the array, and what its other entries say about it."""
     if _is_npy(path):
         with path.open("rb") as stream:
-            shape, order, dtype, offset = _header(stream, str(path))
+            shape, order, dtype, offset = header(stream, str(path))
+        check_array(shape, dtype, str(path))
         return Source(FileArray(path, dtype, shape, offset, order=order), Stated(), "mapped")
 
     archive = open_archive(path)
@@ -51,7 +52,7 @@ def read(path: Path, variable: str | None) -> Source:
         for name in [variable] if variable in members else members:
             if name not in _DESCRIPTIONS:
                 with open_member(archive, members[name]) as stream:
-                    headers[name] = _header(stream, f"{path}: {name}", checked=name == variable)
+                    headers[name] = header(stream, f"{path}: {name}")
         name = pick(path, {n: h[0] for n, h in headers.items()}, variable, list(members))
         shape, order, dtype, offset = headers[name]
         array, access = member_array(archive, members[name], dtype, shape, skip=offset, order=order)
@@ -91,14 +92,11 @@ def _is_npy(path: Path) -> bool:
         return stream.read(6) == npy.MAGIC_PREFIX
 
 
-def _header(
-    stream: IO[bytes], where: str, *, checked: bool = True
-) -> tuple[tuple[int, ...], str, np.dtype[Any], int]:
+def header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], str, np.dtype[Any], int]:
+    """Read shape, memory order ("C" or "F"), type and place of the first value."""
     version = npy.read_magic(stream)
     if version not in ((1, 0), (2, 0)):
         raise InputError(f"{where}: .npy version {version} is not supported")
     reader = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, fortran, dtype = reader(stream)
-    if checked:
-        check_array(shape, dtype, where)
     return shape, "F" if fortran else "C", dtype, stream.tell()
