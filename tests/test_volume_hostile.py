@@ -14,13 +14,17 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import imagecodecs
 import numpy as np
 import pytest
 import scipy.io
 import tifffile
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
 import volume_samples as samples
+from optical_palpation.volume.lzw import is_valid
 from volume_sandbox import Sandbox
 
 BOMB = 2 * 2**30
@@ -690,3 +694,32 @@ def test_tiff_strip_that_unpacks_to_far_more_than_its_page(
     assert outcome.text == "read" or outcome.text.startswith("InputError: ")
     assert outcome.seconds < 5
     assert outcome.memory < 500 * 2**20
+
+
+@given(data=st.binary(min_size=1, max_size=300), repeat=st.integers(1, 200))
+def test_every_lzw_stream_that_an_encoder_makes_is_valid(data: bytes, repeat: int) -> None:
+    scrambled = np.random.default_rng(repeat).permuted(np.frombuffer(data * repeat, np.uint8))
+    for content in (data * repeat, scrambled.tobytes()):  # small tables, and full ones
+        stream = imagecodecs.lzw_encode(content)
+        assert is_valid(np.frombuffer(stream, np.uint8))
+        assert is_valid(np.frombuffer(stream[: len(stream) // 2], np.uint8))
+
+
+def test_lzw_streams_that_the_decoder_must_not_see(sandbox: Sandbox, tmp_path: Path) -> None:
+    """It looks codes that are not in the table up in memory that nobody has filled."""
+    rng = np.random.default_rng(0)
+    pages = rng.integers(0, 60, (20, 40, 64), np.uint8)
+    tifffile.imwrite(tmp_path / "a.tif", pages, photometric="minisblack", compression="lzw")
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        offsets = [page.dataoffsets[0] for page in file.pages]
+    whole = (tmp_path / "a.tif").read_bytes()
+    refused = 0
+    for _ in range(30):
+        content = bytearray(whole)
+        for offset in offsets:
+            content[offset + rng.integers(40)] = rng.integers(256)
+        (tmp_path / "a.tif").write_bytes(content)
+        outcome = sandbox.open(tmp_path / "a.tif", samples.GIVEN)
+        assert outcome.text == "read" or outcome.text.startswith("InputError: "), outcome.text
+        refused += "LZW stream" in outcome.text
+    assert refused > 5

@@ -25,6 +25,7 @@ FORMAT = "TIFF"
 
 MAGIC = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 _MAX_PAGES, _MAX_TAGS = 100_000, 4096
+_LZW = 5
 # Vendors' multi-page conventions; some follow references to other files.
 _VENDORS = (
     *("lsm", "mmstack", "ndtiff", "fluoview", "stk", "sis", "svs", "scn", "qpi", "ndpi", "bif"),
@@ -101,6 +102,8 @@ def page_array(path: Path, file: Any) -> Any:
         raise InputError(f"{path}: colour images; save the OCT signal in grey")
     if page.photometric == 0:
         raise InputError(f"{path}: inverted grey (0 is white); save it with 0 as black")
+    if page.compression == _LZW and page.fillorder != 1:
+        raise InputError(f"{path}: LZW with reversed bits; save it uncompressed or with deflate")
     check_array(shape, dtype, str(path))
     if series.dataoffset is not None and page.is_memmappable:
         return FileArray(path, dtype.newbyteorder(file.byteorder), shape, series.dataoffset)
@@ -115,6 +118,8 @@ def page_array(path: Path, file: Any) -> Any:
         _check_segments(path, number, single, page)
 
     def read_page(index: int) -> NDArray[Any]:
+        if page.compression == _LZW:
+            _check_lzw(path, index, series.pages[index])
         return np.asarray(series.pages[index].asarray(maxworkers=1))
 
     array: Any = PagedArray(read_page, dtype, (pages, rows, columns))
@@ -133,6 +138,17 @@ def _check_segments(path: Path, number: int, single: Any, keyframe: Any) -> None
     if end > path.stat().st_size:
         raise InputError(f"{path}: page {number} lies beyond the end of the file: truncated")
     check_ratio(nbytes(keyframe.shape, keyframe.dtype), sum(counts), f"{path}: page {number}")
+
+
+def _check_lzw(path: Path, number: int, page: Any) -> None:
+    """Refuse streams on which the decoder would crash; damage elsewhere it reports itself."""
+    from .lzw import is_valid
+
+    with path.open("rb") as stream:
+        for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
+            stream.seek(offset)
+            if not is_valid(np.frombuffer(stream.read(count), np.uint8)):
+                raise InputError(f"{path}: the LZW stream of page {number} is damaged")
 
 
 def _read(path: Path, file: Any) -> Source:
