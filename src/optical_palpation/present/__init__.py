@@ -1,4 +1,4 @@
-"""Results out: NetCDF, picture, ParaView file, profiles and a summary in words."""
+"""Results out: NetCDF, picture, HTML report, ParaView file, profiles and a summary in words."""
 
 from optical_palpation.present.boundaries_figure import write_boundaries_figure
 from optical_palpation.present.deck import write_deck
@@ -6,6 +6,7 @@ from optical_palpation.present.netcdf import read_result, write_result
 from optical_palpation.present.output import check_outputs
 from optical_palpation.present.panel import write_panel
 from optical_palpation.present.profiles import centre_profiles, write_profiles
+from optical_palpation.present.report import write_report
 from optical_palpation.present.summary import summarise
 from optical_palpation.present.vtk import write_vtk
 
@@ -18,6 +19,7 @@ __all__ = [
     "write_deck",
     "write_panel",
     "write_profiles",
+    "write_report",
     "write_result",
     "write_vtk",
 ]

@@ -68,12 +68,12 @@ def draw_volume(
     black, white = _shades(read, slices, block)
 
     def picture(image: NDArray[Any]) -> NDArray[np.uint8]:
-        return np.clip((_decibels(image, block) - black) * 255 / (white - black), 0, 255).astype("u1")
+        return np.clip((_decibels(image, block) - black) * 255 / (white - black), 0, 255).astype(
+            "u1"
+        )
 
     tried = [picture(read(slices[i])) for i in _some(len(slices))]
-    quality = next(
-        (q for q in QUALITIES if _size(tried, q) * len(slices) < BYTES), QUALITIES[-1]
-    )
+    quality = next((q for q in QUALITIES if _size(tried, q) * len(slices) < BYTES), QUALITIES[-1])
     pictures, projection = [], np.empty((ny, nx))
     for row, image, below in _rows(volume, read, layer):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -103,9 +103,7 @@ def draw_volume(
     return entry, xr.DataArray(projection, {"y": y, "x": x}, ("y", "x"))
 
 
-def _positions(
-    volume: Volume, layer: xr.Dataset | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _positions(volume: Volume, layer: xr.Dataset | None) -> tuple[NDArray[Any], NDArray[Any]]:
     """Where the A-scans lie, mm; the layer's map may have been shifted to fit another."""
     if layer is not None:
         return layer["y"].values, layer["x"].values

@@ -46,10 +46,17 @@ def map_entries(
     masks: dict[str, Any] = {}
     layers = {"unloaded": unloaded, "loaded": loaded}
 
-    def show(key: str, group: str, title: str, scale: str, field: xr.DataArray, **more: Any) -> None:
-        digits = more.pop("digits", 4)
-        entry = {"group": group, "title": title, "scale": scale, **more}
-        shown[key] = entry | encode_map(field, digits)
+    def show(
+        group: str,
+        key: str,
+        title: str,
+        scale: str,
+        field: xr.DataArray,
+        mask: str | None = None,
+        digits: int = 4,
+    ) -> None:
+        about = {"group": group, "title": title, "scale": scale, "mask": mask}
+        shown[key] = about | encode_map(field, digits)
 
     for state, layer in layers.items():
         if layer is not None and "filled" in layer:
@@ -59,23 +66,21 @@ def map_entries(
     of_stress = "result" if "result" in masks else "loaded"
 
     for method, field in stress.items():
-        show(method, "stress", f"Axial stress, {method}", "stress", field, mask=of_stress)
+        show("stress", method, f"{method.title()} stress", "stress", field, of_stress)
     sides = {"contact_state": "sample", "window_contact_state": "window"}
     for name, side in sides.items():
         if name in maps:
-            show(name, "stress", f"Contact with the {side}", "contact", maps[name])
+            show("stress", name, f"Contact with the {side}", "contact", maps[name])
     for state, field in thickness.items():
         mask = of_stress if layers[state] is None else state
-        show(f"{state}-thickness", "layer", f"{state.title()} thickness", "thickness", field,
-             mask=mask)  # fmt: skip
+        show("layer", f"{state}-thickness", f"{state.title()} thickness", "thickness", field, mask)
     for state, layer in layers.items():
         if layer is not None and "quality" in layer:
-            title = f"Quality, {state}"
-            show(f"{state}-quality", "layer", title, "quality", layer["quality"], mask=state,
-                 digits=2)  # fmt: skip
+            title = f"{state.title()} quality"
+            show("layer", f"{state}-quality", title, "quality", layer["quality"], state, digits=2)
     for state, field in projections.items():
-        title = f"Maximum intensity, {state}"
-        show(f"{state}-projection", "layer", title, f"{state} signal", field, digits=2)
+        title = f"Max. intensity, {state}"
+        show("layer", f"{state}-projection", title, f"{state} signal", field, digits=2)
 
     scales = {
         "stress": _scale("viridis_r", "kPa", *limits(*stress.values())),
@@ -122,7 +127,7 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
     """Total forces and how well they balance."""
     attrs = result.maps.attrs
     rows = [
-        (f"Force on the {side}", f"{attrs[key]:.4g} mN")
+        (f"Force on the {side}", f"{_number(attrs[key])} mN")
         for side in ("window", "sample")
         if (key := f"{side}_force_mN") in attrs
     ]
@@ -130,23 +135,18 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
         rows.append(("Difference of the two", f"{100 * attrs['force_balance']:.2g} %"))
     for method, stress in methods(result).items():
         force = -float(stress.fillna(0.0).integrate(["y", "x"]))
-        rows.append((f"Integral of the {method} map", f"{force:.4g} mN"))
+        rows.append((f"Integral of the {method} map", f"{_number(force)} mN"))
     return rows
 
 
 def stress_rows(result: StressResult) -> list[tuple[str, ...]]:
-    """Method, mean, the percentile that the most compressed 1 % lies below, and the lowest."""
+    """Name and value by each method of the mean, the 1st percentile and the lowest stress."""
+    fields = [field.values[np.isfinite(field.values)] for field in methods(result).values()]
     return [
-        (method, *(f"{v:.4g}" for v in _statistics(stress)))
-        for method, stress in methods(result).items()
+        ("Mean", *(_number(v.mean()) if v.size else "" for v in fields)),
+        ("1st percentile", *(_number(np.percentile(v, 1)) if v.size else "" for v in fields)),
+        ("Most compressed", *(_number(v.min()) if v.size else "" for v in fields)),
     ]
-
-
-def _statistics(stress: xr.DataArray) -> tuple[float, ...]:
-    values = stress.values[np.isfinite(stress.values)]
-    if values.size == 0:
-        return (np.nan,) * 3
-    return float(values.mean()), float(np.percentile(values, 1)), float(values.min())
 
 
 def key_figures(
@@ -156,20 +156,30 @@ def key_figures(
     attrs, maps = result.maps.attrs, on_layer(result.maps)
     figures = []
     if "sample_force_mN" in attrs:
-        figures.append(("Force on the sample", f"{attrs['sample_force_mN']:.4g} mN"))
+        figures.append(("Force on the sample", f"{_number(attrs['sample_force_mN'])} mN"))
     for method, stress in methods(result).items():
-        figures.append((f"Mean stress, {method}", f"{_statistics(stress)[0]:.4g} kPa"))
+        figures.append((f"Mean stress, {method}", f"{_number(float(stress.mean()))} kPa"))
     touching = float(np.mean(maps["contact_state"].values != ContactState.OPEN))
-    figures.append(("In contact", f"{touching:.1%} of the map"))
+    figures.append(("In contact with the sample", _percent(touching)))
     thickness = thicknesses(result, loaded, unloaded)
     if "unloaded" not in thickness and "initial_thickness_mm" in attrs:
-        figures.append(("Unloaded thickness, given", f"{attrs['initial_thickness_mm']:.4g} mm"))
+        given = _number(attrs["initial_thickness_mm"])
+        figures.append(("Unloaded thickness, mean", f"{given} mm"))
     for state, field in thickness.items():
-        figures.append((f"{state.title()} thickness, median", f"{float(field.median()):.4g} mm"))
-    for state, layer in (("loaded", loaded), ("unloaded", unloaded)):
+        figures.append((f"{state.title()} thickness, median", f"{_number(field.median())} mm"))
+    for state, layer in (("unloaded", unloaded), ("loaded", loaded)):
         if layer is not None and "filled" in layer:
-            figures.append((f"Filled pixels, {state}", f"{float(layer['filled'].mean()):.2%}"))
+            figures.append((f"Filled pixels, {state}", _percent(float(layer["filled"].mean()))))
     return figures
+
+
+def _number(value: Any) -> str:
+    """Four digits, with the minus of print."""
+    return f"{float(value):.4g}".replace("-", "\N{MINUS SIGN}")
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.3g} %"
 
 
 def convergence_rows(result: StressResult) -> list[dict[str, Any]]:

@@ -34,7 +34,6 @@ class ScanPlot extends Plot {
     const caption = element("figcaption", {}, element("span", {}, title), this.output);
     this.note = element("p", { class: "quiet" });
     this.figure = element("figure", {}, caption, this.host, this.note);
-    this.layer = this.layerDepths();
   }
 
   step(axis) {
@@ -53,14 +52,14 @@ class ScanPlot extends Plot {
     return clamp(Math.round((y - at[0]) / (this.step("y") || 1)), 0, at.length - 1);
   }
 
-  // Where the boundaries run, with a margin.
+  // Where the boundaries run in the whole volume, with a margin.
   layerDepths() {
     const { window: upper, sample: lower } = this.entry.lines;
     if (!upper) return this.whole.y;
     const low = upper.reduce((a, b) => (b < a ? b : a), Infinity);
     const high = lower.reduce((a, b) => (b > a ? b : a), -Infinity);
     const margin = 0.15 * (high - low);
-    return [Math.max(this.whole.y[0], low - margin), Math.min(this.whole.y[1], high + margin)];
+    return [low - margin, high + margin];
   }
 
   follow() {

@@ -40,6 +40,12 @@ class Grid {
     return { x: [x0 - dx / 2, x0 + (nx - 0.5) * dx], y: [y0 - dy / 2, y0 + (ny - 0.5) * dy] };
   }
 
+  // Centres of the outermost pixels.
+  get centres() {
+    const { x0, dx, nx, y0, dy, ny } = this;
+    return { x: [x0, x0 + (nx - 1) * dx], y: [y0, y0 + (ny - 1) * dy] };
+  }
+
   column(x) {
     return Math.round((x - this.x0) / this.dx);
   }

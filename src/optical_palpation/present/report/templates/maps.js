@@ -26,7 +26,8 @@ class MapPlot extends Plot {
     );
     Object.assign(this, { entry, grid, mask, scale: data.scales[entry.scale] });
     this.output = element("output");
-    const caption = element("figcaption", {}, element("span", {}, entry.title), this.output);
+    const title = element("span", {}, entry.title);
+    const caption = element("figcaption", { class: "two" }, title, this.output);
     this.figure = element("figure", {}, caption, this.host, this.scale ? this.bar() : this.legend());
     this.image = this.draw(grid, this.scale ? this.shades() : this.states());
     this.filled = mask && this.draw(mask, (value) => (value ? [0, 0, 0] : null));

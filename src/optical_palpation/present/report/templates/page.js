@@ -3,8 +3,8 @@
 async function build() {
   const grids = await decoded(data.maps);
   const masks = await decoded(data.masks);
-  const field = { x: span(grids, "x"), y: span(grids, "y") };
-  cursor.limits = field;
+  const field = span(grids, "extent");
+  cursor.limits = span(grids, "centres");
 
   const plots = Object.entries(data.maps).map(([name, entry]) => {
     const plot = new MapPlot(entry, grids[name], masks[entry.mask], field);
@@ -25,8 +25,8 @@ async function build() {
   const scans = await Promise.all(blocks.map((block) => ScanPlot.from(block)));
   if (scans.length) linkScans(scans);
   linkBar(plots, Object.keys(masks).length > 0);
-  cursor.move({ x: middle(grids[data.profiles.stress.maps[0]].extent.x),
-                y: middle(grids[data.profiles.stress.maps[0]].extent.y) }); // prettier-ignore
+  const { x, y } = grids[data.profiles.stress.maps[0]].centres;
+  cursor.move({ x: middle(x), y: middle(y) });
 }
 
 const middle = ([low, high]) => (low + high) / 2;
@@ -36,9 +36,14 @@ async function decoded(entries) {
   return Object.fromEntries(await Promise.all(pairs));
 }
 
-function span(grids, axis) {
-  const extents = Object.values(grids).map((grid) => grid.extent[axis]);
-  return [Math.min(...extents.map((e) => e[0])), Math.max(...extents.map((e) => e[1]))];
+// What all grids span together.
+function span(grids, kind) {
+  const ranges = (axis) => Object.values(grids).map((grid) => grid[kind][axis]);
+  const union = (axis) => [
+    Math.min(...ranges(axis).map((range) => range[0])),
+    Math.max(...ranges(axis).map((range) => range[1])),
+  ];
+  return { x: union("x"), y: union("y") };
 }
 
 function linkScans(scans) {
@@ -46,6 +51,11 @@ function linkScans(scans) {
   const slider = document.getElementById("slice");
   const label = document.getElementById("slice-text");
   const main = scans.at(-1); // the loaded volume, if there is one
+  const zooms = scans.map((plot) => plot.layerDepths());
+  const shared = [Math.min(...zooms.map((z) => z[0])), Math.max(...zooms.map((z) => z[1]))];
+  for (const plot of scans) {
+    plot.layer = [Math.max(shared[0], plot.whole.y[0]), Math.min(shared[1], plot.whole.y[1])];
+  }
   slider.max = main.entry.y.length - 1;
   slider.addEventListener("input", () => cursor.move({ y: main.entry.y[slider.value] }));
   cursor.listeners.push(() => {
@@ -67,14 +77,13 @@ function linkBar(plots, masked) {
   document.getElementById("bar").addEventListener("submit", (event) => event.preventDefault());
   for (const axis of ["x", "y"]) {
     const input = document.getElementById(`cursor-${axis}`);
+    const write = () => (input.value = cursor[axis].toFixed(3));
     input.addEventListener("change", () => {
-      if (input.value.trim() && Number.isFinite(input.valueAsNumber)) {
-        cursor.move({ [axis]: input.valueAsNumber });
-      } else {
-        input.value = cursor[axis].toFixed(3);
-      }
+      if (Number.isFinite(input.valueAsNumber)) cursor.move({ [axis]: input.valueAsNumber });
+      write();
     });
-    cursor.listeners.push(() => (input.value = cursor[axis].toFixed(3)));
+    // What is being typed must not be overwritten.
+    cursor.listeners.push(() => document.activeElement === input || write());
   }
   document.getElementById("hatch-label").hidden = !masked;
   hatching.addEventListener("change", () => plots.forEach((plot) => plot.paint()));
@@ -95,7 +104,7 @@ copy.addEventListener("click", async () => {
 
 try {
   await build();
-  document.documentElement.dataset.ready = "yes";
+  requestAnimationFrame(() => (document.documentElement.dataset.ready = "yes"));
 } catch (error) {
   const failed = document.getElementById("failed");
   failed.textContent = `The maps cannot be drawn (${error}). They need a browser of 2023 or later.`;

@@ -1,0 +1,812 @@
+"""The report, driven in a real browser and compared with the numbers that went into it."""
+
+import base64
+import io
+import json
+import re
+import shutil
+import zlib
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from PIL import Image
+
+from optical_palpation.errors import InputError, OutputError
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation import algebraic_result
+from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.present import write_report
+from optical_palpation.present.report.bscans import BYTES, draw_volume
+from optical_palpation.present.report.maps import encode_floats, encode_map, limits
+from optical_palpation.thickness import clean_thickness
+from optical_palpation.volume import open_volume
+
+NZ, NY, NX = 120, 24, 36
+DZ, DY, DX = 0.01, 0.1, 0.05
+Z0, Y0, X0 = 0.2, 1.0, -0.5
+Y, X = Y0 + DY * np.arange(NY), X0 + DX * np.arange(NX)
+FILLED = np.zeros((NY, NX), bool)
+FILLED[10:14, 6:10] = True
+TITLE = "Layer </title><script>window.broken = 1</script> & 5 \u00b5m"
+PYTHON = 'print("<b>a</b>")  # </code></script><script>window.broken = 1</script>'
+PARAMETERS = {
+    "note": "<img src=x onerror='window.broken = 1'>",
+    "nothing": None,
+    "layer": {"window": "line", "inner": {"ranges": (0.25, 0.5), "seen": True}},
+}
+WARNINGS = ["In 1.9 % of the map <i>nothing</i> was seen.", "</li></script>"]
+
+
+def window_depth(y, x):
+    return 0.4 + 0.03 * y + 0 * x
+
+
+def thickness(y, x, pressed):
+    return 0.5 - pressed * (0.05 + 0.03 * np.cos(4 * x) + 0.02 * y)
+
+
+def layer(pressed):
+    y, x = np.meshgrid(Y, X, indexing="ij")
+    top, thick = window_depth(y, x), thickness(y, x, pressed)
+    grid = ("y", "x")
+    quality = np.where(FILLED, 0.0, 0.9 - 0.1 * x)
+    return xr.Dataset(
+        {
+            "window_depth": (grid, top),
+            "sample_depth": (grid, top + thick),
+            "thickness": (grid, thick),
+            "quality": (grid, quality),
+            "filled": (grid, FILLED),
+        },
+        {"y": Y, "x": X},
+    )
+
+
+def marker(row):
+    """Column of the bright bar that tells one B-scan from another."""
+    return 3 + row
+
+
+def samples(found, seed):
+    """A volume `[z, y, x]`: noise, a line at the window, and scattering below the layer."""
+    random = np.random.default_rng(seed)
+    z = (Z0 + DZ * np.arange(NZ))[:, None, None]
+    top, bottom = found["window_depth"].values, found["sample_depth"].values
+    signal = random.rayleigh(1.0, (NZ, NY, NX))
+    signal *= 1 + 10 * (z > bottom) * np.exp(-3 * np.clip(z - bottom, 0, None))
+    signal += 200 * np.exp(-(((z - top) / DZ) ** 2))
+    for row in range(NY):
+        signal[40:50, row, marker(row)] += 60
+    return signal.astype(np.float32)
+
+
+def stress_result():
+    y, x = np.linspace(1.2, 3.0, 11), np.linspace(-0.4, 1.1, 13)
+    grid_y, grid_x = np.meshgrid(y, x, indexing="ij")
+    stress = -3 - grid_x - 0.5 * grid_y**2
+    computational = 1.5 * stress
+    computational[0, :3] = np.nan
+    state = np.where(grid_x < 0, ContactState.OPEN, np.where(grid_x < 0.6, ContactState.SLIP, 2))
+    grid = ("y", "x")
+    maps = xr.Dataset(
+        {
+            "axial_stress": (grid, computational),
+            "algebraic_axial_stress": (grid, stress),
+            "contact_pressure": (grid, -computational),
+            "contact_state": (grid, state.astype(np.int8)),
+            "window_contact_state": (grid, np.full_like(state, ContactState.STICK)),
+            "loaded_thickness": (grid, thickness(grid_y, grid_x, 1.0)),
+        },
+        {"y": y, "x": x},
+        attrs={
+            "window_force_mN": 31.5,
+            "sample_force_mN": 31.25,
+            "force_balance": 0.008,
+            "initial_thickness_mm": 0.5,
+            "volume_change_percent": 3.0,
+            "convergence": json.dumps(
+                [
+                    {"elements": 96, "load": 0.5, "newton": 7},
+                    {"elements": 96, "load": 1.0, "newton": 5},
+                    {"elements": 768, "load": 1.0, "newton": 4},
+                ]
+            ),
+        },
+    )
+    return StressResult(maps)
+
+
+def stored(folder, name, content):
+    np.save(folder / f"{name}.npy", content)
+    return open_volume(
+        folder / f"{name}.npy",
+        axes="zyx",
+        spacing={"z": DZ, "y": DY, "x": DX},
+        origin={"z": Z0, "y": Y0, "x": X0},
+        scale="linear",
+        refractive_index=1.0,
+    )
+
+
+LAYERS = {"unloaded": layer(0.0), "loaded": layer(1.0)}
+
+
+@pytest.fixture(scope="module")
+def volumes(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("volumes")
+    opened = {
+        name: stored(folder, name, samples(found, seed))
+        for seed, (name, found) in enumerate(LAYERS.items())
+    }
+    yield opened
+    for volume in opened.values():
+        volume.close()
+
+
+def write(path, result, volumes=None, loaded=None, unloaded=None, **texts):
+    texts = {"parameters": {}, "python": "", "title": "Study", "warnings": []} | texts
+    write_report(path, result, loaded=loaded, unloaded=unloaded, volumes=volumes, **texts)
+    return path
+
+
+@pytest.fixture(scope="module")
+def study(volumes, tmp_path_factory):
+    return write(
+        tmp_path_factory.mktemp("report") / "study.html",
+        stress_result(),
+        volumes,
+        **LAYERS,
+        parameters=PARAMETERS,
+        python=PYTHON,
+        title=TITLE,
+        warnings=WARNINGS,
+    )
+
+
+@pytest.fixture(scope="module")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    program = shutil.which("chromium") or shutil.which("chromium-browser")
+    if program is None:
+        pytest.skip("no Chromium on this machine")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def show(browser):
+    """Open a report; in the end the console must be empty, and nothing have been asked for."""
+    told, asked, contexts = [], [], []
+
+    def opened(path, width=1366, height=768, **settings):
+        context = browser.new_context(viewport={"width": width, "height": height}, **settings)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda message: told.append(message.text))
+        page.on("pageerror", lambda error: told.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(path.as_uri())
+        page.wait_for_selector("html[data-ready]", state="attached")
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert told == []
+    assert [url for url in asked if not url.startswith(("data:", "file:///"))] == []
+    assert len([url for url in asked if url.startswith("file:")]) == len(contexts)
+
+
+@pytest.fixture
+def page(show, study):
+    return show(study)
+
+
+def settle(page):
+    """Wait until the next picture of the screen is drawn."""
+    page.evaluate("() => new Promise((r) => requestAnimationFrame(() => requestAnimationFrame(r)))")
+
+
+def plot(page, name):
+    return page.locator(f"[data-map='{name}'] .plot")
+
+
+def frame(page, host):
+    """Place of a plot's frame on the page: left, top, width, height."""
+    return host.locator("svg rect.frame").evaluate(
+        "(r) => { const b = r.getBoundingClientRect(); return [b.x, b.y, b.width, b.height] }"
+    )
+
+
+def click(page, host, right, up):
+    """Click in a plot at shares of its frame, counted from the lower left."""
+    host.scroll_into_view_if_needed()
+    left, top, width, height = frame(page, host)
+    page.mouse.click(left + right * width, top + (1 - up) * height)
+    settle(page)
+
+
+def place(page):
+    return tuple(float(page.locator(f"#cursor-{axis}").input_value()) for axis in "xy")
+
+
+def readout(page, name):
+    return page.locator(f"[data-map='{name}'] figcaption output").inner_text()
+
+
+def number(text):
+    return float(text.split("\u202f")[0].replace("\u2212", "-"))
+
+
+def scan(page, state):
+    names = [
+        re.search(r"\w+$", t)[0] for t in page.locator(".scans figcaption > span").all_inner_texts()
+    ]
+    return page.locator(".scans .plot").nth(names.index(state))
+
+
+def go_to_slice(page, row):
+    page.locator("#slice").fill(str(row))
+    page.wait_for_selector(f".scans figure:nth-child(2) canvas[data-row='{row}']")
+    page.wait_for_selector(f".scans figure:nth-child(1) canvas[data-row='{row}']")
+    settle(page)
+
+
+def grey(host):
+    """Brightness of a plot's canvas, `[row, column]`."""
+    url = host.locator("canvas").evaluate("(c) => c.toDataURL()")
+    picture = Image.open(io.BytesIO(base64.b64decode(url.split(",")[1])))
+    return np.asarray(picture.convert("L"), float)
+
+
+def points(host, style):
+    """Pixels of a curve in a plot's SVG."""
+    texts = host.locator(f"svg path.{style}").evaluate_all(
+        "(p) => p.map((q) => q.getAttribute('d'))"
+    )
+    return np.array(
+        [[float(v) for v in p.split()] for p in re.findall(r"[ML]([^ML]+)", "".join(texts))]
+    )
+
+
+def test_slider_moves_the_bscan_and_every_bscan_is_the_right_one(page):
+    before = grey(scan(page, "loaded"))
+    for row in (0, 9, 23):
+        go_to_slice(page, row)
+        for state in ("unloaded", "loaded"):
+            image = grey(scan(page, state))
+            # The bar lies where nothing else is bright, between the window and the sample.
+            bar = image[int(0.35 * len(image)) : int(0.4 * len(image))].mean(0)
+            column = (np.argmax(bar) + 0.5) / image.shape[1] * NX - 0.5
+            assert column == pytest.approx(marker(row), abs=0.6)
+        assert place(page)[1] == pytest.approx(Y[row], abs=1e-3)
+        text = page.locator("#slice").get_attribute("aria-valuetext")
+        assert f"{row + 1} of {NY}" in text
+    assert not np.array_equal(before, grey(scan(page, "loaded")))
+
+
+@pytest.mark.parametrize("zoom", [False, True])
+def test_boundaries_lie_on_the_image(page, zoom):
+    go_to_slice(page, 20)
+    if zoom:
+        page.locator("#zoom").check()
+        settle(page)
+    for state, found in LAYERS.items():
+        host = scan(page, state)
+        image = grey(host)
+        box = host.bounding_box()
+        left, top, width, height = frame(page, host)
+        low, high = depths(found) if zoom else (Z0 - DZ / 2, Z0 + (NZ - 0.5) * DZ)
+        for side in ("window", "sample"):
+            x, y = points(host, f"boundary.{side}").T
+            assert len(x) == NX
+            depth = low + (y - (top - box["y"])) / height * (high - low)
+            assert depth == pytest.approx(found[f"{side}_depth"].values[20], abs=0.004)
+            at = ((x - (left - box["x"])) / width - 0.5 / NX) * NX
+            assert at == pytest.approx(np.arange(NX), abs=0.1)
+        # The line of the window itself, as it is drawn.
+        x, y = points(host, "boundary.window").T
+        rows = (y - (top - box["y"])) / height * len(image)
+        above = int((0.55 - low) / (high - low) * len(image))  # the bar is below
+        bright = np.argmax(image[:above], axis=0)
+        columns = ((x - (left - box["x"])) / width * image.shape[1]).astype(int)
+        # Half a pixel of the volume.
+        assert bright[columns] == pytest.approx(rows, abs=0.6 * len(image) * DZ / (high - low))
+
+
+def depths(found):
+    """Range of depth that zooming leaves: both layers and a margin of each, within the volume."""
+    low, high = [], []
+    for one in LAYERS.values():
+        top, bottom = float(one["window_depth"].min()), float(one["sample_depth"].max())
+        low.append(top - 0.15 * (bottom - top))
+        high.append(bottom + 0.15 * (bottom - top))
+    return max(min(low), Z0 - DZ / 2), min(max(high), Z0 + (NZ - 0.5) * DZ)
+
+
+def test_filled_stretches_are_marked_and_boundaries_can_be_hidden(page):
+    host = scan(page, "loaded")
+    go_to_slice(page, 5)
+    assert len(points(host, "boundary.unseen")) == 0
+    go_to_slice(page, 12)
+    # Columns 5 to 10 are 6 to 9 and their neighbours, on either side of the layer.
+    assert len(points(host, "boundary.unseen")) == 2 * 6
+    assert len(points(host, "boundary.sample")) == NX - 4
+    page.locator("#lines").uncheck()
+    settle(page)
+    assert host.locator("svg path.boundary").count() == 0
+    page.locator("#lines").check()
+    settle(page)
+    assert host.locator("svg path.boundary").count() == 4
+
+
+def expected(name, x, y):
+    maps = stress_result().maps
+    fields = {
+        "algebraic": maps["algebraic_axial_stress"],
+        "computational": maps["axial_stress"],
+        "unloaded-thickness": LAYERS["unloaded"]["thickness"],
+        "loaded-thickness": LAYERS["loaded"]["thickness"],
+        "unloaded-quality": LAYERS["unloaded"]["quality"],
+        "loaded-quality": LAYERS["loaded"]["quality"],
+    }
+    return float(fields[name].sel(x=x, y=y, method="nearest"))
+
+
+def test_cursor_is_linked_through_all_maps(page):
+    names = page.locator("figure[data-map]").evaluate_all("(f) => f.map((g) => g.dataset.map)")
+    assert len(names) == 10
+    for name, right, up in (("algebraic", 0.4, 0.3), ("loaded-quality", 0.7, 0.55)):
+        click(page, plot(page, name), right, up)
+        x, y = place(page)
+        assert x == pytest.approx(X[0] - DX / 2 + right * NX * DX, abs=0.01)
+        assert y == pytest.approx(Y[0] - DY / 2 + up * NY * DY, abs=0.01)
+        for other in names:
+            lines = (
+                plot(page, other)
+                .locator("svg line.cursor")
+                .evaluate_all(
+                    "(l) => l.map((m) => m.getBoundingClientRect()).map((b) => [b.x, b.y])"
+                )
+            )
+            left, top, width, height = frame(page, plot(page, other))
+            assert (lines[0][0] - left) / width == pytest.approx(right, abs=0.01)
+            assert (lines[1][1] - top) / height == pytest.approx(1 - up, abs=0.01)
+        for other in ("algebraic", "computational", "loaded-thickness", "unloaded-quality"):
+            assert number(readout(page, other)) == pytest.approx(expected(other, x, y), rel=2e-3)
+        row = int(np.argmin(np.abs(Y - y)))
+        page.wait_for_selector(f".scans canvas[data-row='{row}']")
+        assert page.locator("#slice").input_value() == str(row)
+
+
+def test_readout_names_contact_missing_and_filled(page):
+    go = page.locator("#cursor-x").fill, page.locator("#cursor-y").fill
+
+    def at(x, y):
+        for fill, value in zip(go, (x, y), strict=True):
+            fill(str(value))
+            page.keyboard.press("Enter")
+        settle(page)
+
+    at(-0.4, 1.2)
+    assert readout(page, "computational") == "no value"
+    assert readout(page, "contact_state") == "open"
+    assert readout(page, "window_contact_state") == "stick"
+    at(1.05, 2.0)
+    assert readout(page, "contact_state") == "stick"
+    at(X[7], Y[12])
+    assert "(filled)" in readout(page, "loaded-thickness")
+    assert readout(page, "loaded-quality") == "0 (filled)"
+    at(X[20], Y[20])
+    assert "filled" not in readout(page, "loaded-thickness")
+    at(1e6, -1e6)  # beyond the field: its corner
+    assert place(page) == (pytest.approx(X[-1]), pytest.approx(Y[0]))
+    page.locator("#cursor-x").fill("")
+    page.keyboard.press("Enter")
+    assert place(page)[0] == pytest.approx(X[-1])
+
+
+def test_profiles_follow_the_cursor_and_show_the_maps_values(page):
+    hosts = page.locator("[data-profile='stress'] .plot")
+    click(page, plot(page, "computational"), 0.5, 0.35)
+    first = [points(hosts.nth(k), "curve.computational") for k in (0, 1)]
+    click(page, plot(page, "computational"), 0.55, 0.6)
+    x, y = place(page)
+    result = stress_result().maps["axial_stress"]
+    lines = result.sel(y=y, method="nearest"), result.sel(x=x, method="nearest")
+    for k, curve in enumerate(lines):
+        drawn = points(hosts.nth(k), "curve.computational")
+        known = curve.dropna("xy"[k])
+        assert drawn.shape == (known.size, 2)
+        assert not np.array_equal(drawn, first[k])
+        # Straight relations between pixels and mm, pixels and kPa; the same for every cursor.
+        assert abs(np.corrcoef(drawn[:, 0], known["xy"[k]])[0, 1]) > 1 - 1e-6
+        assert np.corrcoef(drawn[:, 1], known)[0, 1] < -(1 - 1e-4)
+        heading = page.locator("[data-profile='stress'] figcaption").nth(k).inner_text()
+        assert f"{(y, x)[k]:.3f}" in heading
+
+
+def test_keyboard_alone(page):
+    host = plot(page, "loaded-thickness")
+    host.focus()
+    assert host.evaluate("(e) => getComputedStyle(e).outlineStyle") == "solid"
+    x, y = place(page)
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowUp")
+    settle(page)
+    assert place(page) == (pytest.approx(x + DX, abs=2e-3), pytest.approx(y + DY, abs=2e-3))
+    page.keyboard.press("Shift+ArrowLeft")
+    page.keyboard.press("ArrowDown")
+    settle(page)
+    assert place(page) == (pytest.approx(x - 9 * DX, abs=2e-3), pytest.approx(y, abs=2e-3))
+    page.wait_for_timeout(400)
+    assert "Loaded thickness" in page.locator("#spoken").text_content()
+
+    page.locator("#slice").focus()
+    row = int(page.locator("#slice").input_value())
+    page.keyboard.press("ArrowRight")
+    page.wait_for_selector(f".scans canvas[data-row='{row + 1}']")
+    settle(page)
+    assert place(page)[1] == pytest.approx(Y[row + 1], abs=1e-3)
+    scan(page, "loaded").focus()
+    page.keyboard.press("ArrowDown")
+    page.wait_for_selector(f".scans canvas[data-row='{row}']")
+
+    # Everything that can be used can be reached with the tabulator, and has a name.
+    page.locator("body").press("Home")
+    page.evaluate("() => document.activeElement.blur()")
+    reached = []
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        reached.append(
+            page.evaluate(
+                "() => { const e = document.activeElement; return [e.tagName + (e.id || ''),"
+                " e.getAttribute('aria-label') || e.labels?.[0]?.innerText || e.innerText] }"
+            )
+        )
+    labels = {name for tag, name in reached if tag == "DIV"}
+    assert {"Algebraic stress", "Loaded thickness", "B-scan, loaded"} <= labels
+    tags = {tag for tag, _ in reached}
+    assert {"INPUTcursor-x", "INPUThatch", "INPUTslice", "INPUTzoom", "BUTTONcopy"} <= tags
+    assert all(name and name.strip() for tag, name in reached if tag != "BODY")
+
+
+def test_stress_maps_share_fixed_limits(page):
+    maps = stress_result().maps
+    both = np.concatenate(
+        [maps[n].values.ravel() for n in ("axial_stress", "algebraic_axial_stress")]
+    )
+    low, high = np.nanpercentile(both, [1, 99])
+    for _ in range(2):
+        for name in ("algebraic", "computational"):
+            ends = page.locator(f"[data-map='{name}'] .colours span").all_inner_texts()
+            assert number(ends[0]) == pytest.approx(low, rel=1e-3)
+            assert number(ends[2]) == pytest.approx(high, rel=1e-3)
+            assert all(end.endswith("kPa") for end in ends)
+        click(page, plot(page, "computational"), 0.2, 0.8)
+    # The most compressed pixel of each map has the colour of its value on the common scale.
+    from matplotlib import colormaps
+
+    for name, variable in (
+        ("algebraic", "algebraic_axial_stress"),
+        ("computational", "axial_stress"),
+    ):
+        field = maps[variable]
+        x, y = 0.85, 2.1
+        share = (float(field.sel(x=x, y=y, method="nearest")) - low) / (high - low)
+        url = plot(page, name).locator("canvas").evaluate("(c) => c.toDataURL()")
+        picture = np.asarray(
+            Image.open(io.BytesIO(base64.b64decode(url.split(",")[1]))).convert("RGB")
+        )
+        column = int((x - (X[0] - DX / 2)) / (NX * DX) * picture.shape[1])
+        row = int((1 - (y - (Y[0] - DY / 2)) / (NY * DY)) * picture.shape[0])
+        colour = colormaps["viridis_r"](min(int(256 * share), 255), bytes=True)[:3]
+        assert picture[row, column] == pytest.approx(np.array(colour), abs=3)
+
+
+def test_hatching_marks_filled_pixels_and_can_be_switched_off(page):
+    def changed(name, before):
+        after = np.abs(grey(plot(page, name)) - before) > 2
+        rows, columns = np.nonzero(after)
+        return rows / after.shape[0], columns / after.shape[1]
+
+    before = {name: grey(plot(page, name)) for name in ("loaded-quality", "contact_state")}
+    page.locator("#hatch").uncheck()
+    settle(page)
+    rows, columns = changed("loaded-quality", before["loaded-quality"])
+    assert 1 - rows.max() == pytest.approx(10 / NY, abs=0.02)
+    assert 1 - rows.min() == pytest.approx(14 / NY, abs=0.02)
+    assert columns.min() == pytest.approx(6 / NX, abs=0.02)
+    assert columns.max() == pytest.approx(10 / NX, abs=0.02)
+    assert len(changed("contact_state", before["contact_state"])[0]) == 0
+
+
+def test_texts_stay_texts(page):
+    assert page.title() == TITLE
+    assert page.locator("h1").inner_text() == TITLE
+    assert page.locator("#code").inner_text() == PYTHON
+    assert page.locator("#warnings li").all_inner_texts()[:2] == WARNINGS
+    assert (
+        "volume of the layer changed by 3.0 %" in page.locator("#warnings li").nth(2).inner_text()
+    )
+    rows = page.locator("#parameters table.wide >> tr").evaluate_all(
+        "(r) => r.map((t) => [...t.children].map((c) => c.textContent))"
+    )
+    for row in (
+        ["note", PARAMETERS["note"]],
+        ["nothing", "not given"],
+        ["window", "line"],
+        ["inner.ranges", "0.25, 0.5"],
+        ["inner.seen", "yes"],
+    ):
+        assert row in rows
+    assert page.evaluate("() => window.broken") is None
+    assert page.locator("main img").count() == 0
+
+
+def test_forces_and_convergence(page):
+    text = page.locator("#solution").inner_text()
+    for part in ("31.5 mN", "31.25 mN", "0.8 %"):
+        assert part in text
+    rows = page.locator("#solution table").nth(1).locator("tr").all_inner_texts()
+    assert [row.split("\t")[0] for row in rows[1:]] == ["Mean", "1st percentile", "Most compressed"]
+    stress = stress_result().maps["axial_stress"]
+    for row, value in zip(
+        rows[1:], (stress.mean(), stress.quantile(0.01), stress.min()), strict=True
+    ):
+        assert number(row.split("\t")[2]) == pytest.approx(float(value), rel=1e-3)
+    rows = page.locator("#solution details tr").evaluate_all(
+        "(r) => r.map((t) => [...t.children].map((c) => c.textContent))"
+    )
+    assert rows[1:] == [["96", "50.0%", "7"], ["96", "100.0%", "5"], ["768", "100.0%", "4"]]
+    assert page.locator(".convergence svg circle").count() == 3
+    assert page.locator(".convergence svg").get_attribute("aria-label") == (
+        "16 Newton iterations, ending at 100 % of the load"
+    )
+
+
+@pytest.mark.parametrize("width", [390, 320])
+def test_phone(show, study, width):
+    page = show(study, width, 844, has_touch=True, is_mobile=True, device_scale_factor=2)
+    size = page.evaluate("() => [document.documentElement.scrollWidth, innerWidth]")
+    assert size == [width, width]
+    wide = page.evaluate(
+        "() => [...document.querySelectorAll('main *:not(pre *)')]"
+        ".filter((e) => e.getBoundingClientRect().right > innerWidth + 1).length"
+    )
+    assert wide == 0
+    host = plot(page, "computational")
+    host.scroll_into_view_if_needed()
+    left, top, w, h = frame(page, host)
+    page.touchscreen.tap(left + 0.25 * w, top + 0.5 * h)
+    settle(page)
+    assert place(page)[0] == pytest.approx(X[0] - DX / 2 + 0.25 * NX * DX, abs=0.01)
+    small = page.locator("nav a, button, input").evaluate_all(
+        "(e) => e.filter((f) => f.offsetParent && f.getBoundingClientRect().height < 16).length"
+    )
+    assert small == 0
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_can_be_read(show, study, scheme):
+    """Contrast of at least 4.5, as the accessibility guidelines (WCAG 2.1, 1.4.3) ask for."""
+    page = show(study, color_scheme=scheme)
+
+    def luminance(colour):
+        channels = np.array([int(v) for v in re.findall(r"\d+", colour)[:3]]) / 255
+        linear = np.where(
+            channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4
+        )
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    back = page.evaluate("() => getComputedStyle(document.body).backgroundColor")
+    assert (luminance(back) < 0.1) == (scheme == "dark")
+    for place in ("body", ".quiet", "figure output", "dt", "nav a", ".legend span"):
+        style = page.locator(place).first.evaluate("(e) => getComputedStyle(e).color")
+        light = sorted([luminance(style), luminance(back)])
+        assert (light[1] + 0.05) / (light[0] + 0.05) >= 4.5, place
+
+
+def test_nothing_in_the_file_points_outside(study):
+    text = study.read_text()
+    markup = re.sub(r"(<script[^>]*>).*?(?=</script>)", r"\1", text, flags=re.S)
+    targets = re.findall(r"<[^>]*?\b(?:src|href|srcset|action)\s*=\s*[\"']?([^\"'\s>]+)", markup)
+    assert len(targets) > 5
+    assert [t for t in targets if not t.startswith(("#", "data:,"))] == []
+    policy = re.search(r'Content-Security-Policy" content="([^"]+)"', text)[1]
+    assert policy.startswith("default-src 'none'")
+    assert "unsafe" not in policy
+    assert set(re.findall(r"https?://[^\s\"'<]+", text)) <= {"http://www.w3.org/2000/svg"}
+
+
+def test_report_from_a_thickness_map_alone(show, tmp_path):
+    """Algebraic, with gaps and a strip-like field: no B-scans, no convergence."""
+    y, x = np.linspace(0, 0.5, 12), np.linspace(0, 5, 80)
+    values = thickness(*np.meshgrid(y, x, indexing="ij"), 1.0)
+    values[3:5, 20:30] = np.nan
+    attrs = {"units": "mm"}
+    seen = xr.DataArray(values, {"y": y, "x": x}, ("y", "x"), "loaded_thickness", attrs)
+    result = algebraic_result(seen, 0.5, MooneyRivlin(2.23, 0.703))
+    for measured in (None, clean_thickness(seen)):
+        page = show(write(tmp_path / "map.html", result, loaded=measured))
+        assert page.locator(".scans, #slice").count() == 0
+        names = page.locator("figure[data-map]").evaluate_all("(f) => f.map((g) => g.dataset.map)")
+        assert names == ["algebraic", "contact_state", "loaded-thickness"]
+        for fill, value in (("#cursor-x", x[25]), ("#cursor-y", y[4])):
+            page.locator(fill).fill(str(value))
+            page.keyboard.press("Enter")
+        settle(page)
+        assert readout(page, "algebraic").startswith("no value")
+        assert page.locator("#hatch").is_visible() == (measured is not None)
+        assert "(filled)" in readout(page, "loaded-thickness") or measured is None
+        assert "0.5 mm" in page.locator(".figures").inner_text()
+        assert page.locator("#warnings").inner_text().split() == ["Warnings", "None."]
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # means of nothing in the summary
+def test_maps_without_any_value(show, tmp_path):
+    result = stress_result()
+    for name in ("axial_stress", "algebraic_axial_stress", "loaded_thickness"):
+        result.maps[name] = result.maps[name] * np.nan
+    page = show(write(tmp_path / "empty.html", result))
+    assert readout(page, "computational") == "no value"
+
+
+def test_volume_without_boundaries(show, volumes, tmp_path):
+    page = show(write(tmp_path / "raw.html", stress_result(), {"loaded": volumes["loaded"]}))
+    page.locator("#slice").fill("7")
+    page.wait_for_selector(".scans canvas[data-row='7']")
+    assert not page.locator("#lines").is_visible()
+    assert place(page)[1] == pytest.approx(Y[7], abs=1e-3)
+
+
+def test_large_volume_is_thinned(tmp_path):
+    """Pictures are means of blocks of pixels of every n-th B-scan; boundaries belong to them."""
+    ny, nx, nz = 230, 1100, 70
+    random = np.random.default_rng(1)
+    coarse = 30 * random.random((nz, ny, nx // 20)).astype(np.float32)
+    content = np.repeat(coarse, 20, axis=2) + random.rayleigh(1.0, (nz, ny, nx)).astype(np.float32)
+    grid = ("y", "x")
+    depth = Z0 + 0.3 + 1e-4 * np.add.outer(np.arange(ny), np.arange(nx))
+    found = xr.Dataset(
+        {
+            "window_depth": (grid, depth),
+            "sample_depth": (grid, depth + 0.1),
+            "thickness": (grid, 0 * depth + 0.1),
+            "filled": (grid, depth < 0),
+        },
+        {"y": Y0 + DY * np.arange(ny), "x": X0 + DX * np.arange(nx)},
+    )
+    with stored(tmp_path, "wide", content) as volume:
+        entry, projection = draw_volume(volume, found, "loaded")
+    assert entry["rows"] == list(range(0, ny, 3))
+    assert entry["y"] == pytest.approx(Y0 + DY * np.arange(0, ny, 3))
+    assert entry["extent"] == pytest.approx([X0 - DX / 2, 1098 * DX, Z0 - DZ / 2, nz * DZ])
+    picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(entry["pictures"][20]))), float)
+    assert picture.shape == (nz, 366)
+    power = (content[:, 60, :1098].astype(float) ** 2).reshape(nz, 366, 3).mean(2)
+    level = 10 * np.log10(power)
+    assert np.corrcoef(picture.ravel(), level.ravel())[0, 1] > 0.9
+    lines = decoded(entry["lines"]["window"]).reshape(77, 367)
+    assert lines[20] == pytest.approx(depth[60, ::3], abs=1e-4)
+    below = (Z0 + DZ * np.arange(nz))[:, None, None] >= depth + 0.1
+    brightest = 20 * np.log10(np.where(below, content, 0).max(0))
+    offset = projection.values - brightest
+    assert np.ptp(offset) < 1e-3
+
+
+def decoded(entry):
+    content = np.frombuffer(zlib.decompress(base64.b64decode(entry["data"])), np.uint8)
+    return (
+        content
+        if entry["type"] == "u1"
+        else np.ascontiguousarray(content.reshape(4, -1).T).view("<f4").ravel()
+    )
+
+
+@given(
+    arrays(np.float64, (3, 4), elements=st.floats(-(2.0**100), 2.0**100, width=32)),
+    st.integers(2, 5),
+)
+def test_numbers_keep_their_digits(values, digits):
+    values[0, 0], values[0, 1], values[0, 2] = np.nan, np.inf, -np.inf
+    back = decoded(encode_floats(values, digits)).reshape(3, 4)
+    assert np.all(np.isnan(back[0, :3]))
+    rest, given = back.ravel()[3:], values.ravel()[3:]
+    tiny = 2e-38
+    assert np.all(np.abs(rest - given) <= 10.0**-digits * np.abs(given) + tiny)
+
+
+def test_uneven_and_large_maps_become_even():
+    x = np.array([0.0, 0.1, 0.2, 0.35, 0.4, 0.5])
+    field = xr.DataArray(np.tile(x, (2, 1)), {"y": [2.0, 1.0], "x": x}, ("y", "x"))
+    entry = encode_map(field)
+    assert (entry["x"], entry["y"]) == ([0.0, pytest.approx(0.1)], [1.0, 1.0])
+    assert decoded(entry).reshape(2, 6)[0] == pytest.approx([0, 0.1, 0.2, 0.35, 0.4, 0.5], abs=1e-4)
+    large = xr.DataArray(
+        np.add.outer(np.zeros(3), np.arange(1500.0)),
+        {"y": [0.0, 1.0, 2.0], "x": 0.01 * np.arange(1500)},
+        ("y", "x"),
+    )
+    entry = encode_map(large)
+    assert entry["shape"] == [3, 500]
+    assert decoded(entry)[:500] == pytest.approx(np.arange(0, 1500, 3), rel=1e-4)
+
+
+def test_limits_of_constant_and_empty_maps():
+    flat = xr.DataArray(np.full((2, 2), 0.5))
+    low, high = limits(flat)
+    assert low < 0.5 < high
+    assert limits(flat * np.nan) == (0.0, 1.0)
+
+
+def test_what_does_not_fit_is_refused_and_leaves_no_file(volumes, tmp_path):
+    path = tmp_path / "bad.html"
+    cut = LAYERS["loaded"].isel(y=slice(0, 5))
+    with pytest.raises(InputError, match=r"loaded volume: 24 x 36 .* 5 x 36"):
+        write(path, stress_result(), volumes, loaded=cut)
+    with pytest.raises(InputError, match="'pressed' is neither"):
+        write(path, stress_result(), {"pressed": volumes["loaded"]})
+    with pytest.raises(OutputError, match=r"ends in \.html"):
+        write(tmp_path / "report.pdf", stress_result())
+    with pytest.raises(OutputError, match="no folder"):
+        write(tmp_path / "absent" / "report.html", stress_result())
+    assert list(tmp_path.iterdir()) == []
+
+
+class Noise:
+    """A volume of nothing but speckle, which is what compresses worst."""
+
+    shape = (1000, 500, 500)
+
+    def __init__(self, like):
+        self.metadata = like.metadata
+        self._image = np.random.default_rng(0).rayleigh(1.0, (1100, 600)).astype(np.float32)
+
+    def bscan(self, y):
+        dz, dx = np.random.default_rng(y).integers(0, 100, 2)
+        return self._image[dz : dz + 1000, dx : dx + 500].copy()
+
+
+@pytest.mark.slow
+def test_a_whole_study_stays_small(volumes, tmp_path):
+    """500 x 500 x 1000 pixels, twice, and a result as fine: less than 25 MB."""
+    random = np.random.default_rng(2)
+    axis = np.linspace(0, 5, 500)
+    grid = ("y", "x")
+
+    def noise(mean, spread):
+        return grid, mean + spread * random.standard_normal((500, 500))
+
+    layers = {}
+    for state, mean in (("loaded", 0.4), ("unloaded", 0.5)):
+        layers[state] = xr.Dataset(
+            {
+                "window_depth": noise(0.5, 0.001),
+                "sample_depth": noise(0.5 + mean, 0.001),
+                "thickness": noise(mean, 0.001),
+                "quality": noise(0.8, 0.05),
+                "filled": (grid, random.random((500, 500)) < 0.05),
+            },
+            {"y": axis, "x": axis},
+        )
+    maps = xr.Dataset(
+        {
+            "axial_stress": noise(-5, 1),
+            "algebraic_axial_stress": noise(-4, 1),
+            "contact_pressure": noise(5, 1),
+            "contact_state": (grid, random.integers(0, 3, (500, 500))),
+            "window_contact_state": (grid, random.integers(0, 3, (500, 500))),
+            "loaded_thickness": layers["loaded"]["thickness"],
+        },
+        {"y": axis, "x": axis},
+    )
+    both = {state: Noise(volume) for state, volume in volumes.items()}
+    path = write(tmp_path / "large.html", StressResult(maps), both, **layers)
+    assert 2 * BYTES / 2 < path.stat().st_size < 25e6
