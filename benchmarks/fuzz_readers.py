@@ -1,13 +1,13 @@
-"""Fuzz the readers of OCT volumes with damaged files.
+"""Fuzz the readers of OCT volumes and of thickness maps with damaged files.
 
     python benchmarks/fuzz_readers.py --seconds 600 --seed 1
 
-Small valid files of every format (those of the tests) are damaged at random: bits, bytes, integers,
-truncation, splicing; and with knowledge of the format: numbers in XML, JSON, TOML and ``.npy``
-headers, members within zip archives that are packed again, the content of gzip and MATLAB zlib
-streams. Each is opened and every B-scan read, in a process of its own kind so that a crash is seen
-too. Anything but success or an InputError is a finding, and so is a case above the limits of time
-and memory. Findings are kept in ``--keep``.
+Small valid files of every format (those of the tests; the names of maps begin with ``map-``) are
+damaged at random: bits, bytes, integers, truncation, splicing; and with knowledge of the format:
+numbers in XML, JSON, TOML and ``.npy`` headers, members within zip archives that are packed again,
+the content of gzip and MATLAB zlib streams. Each is opened and every B-scan read, in a process of
+its own so that a crash is seen too. Anything but success or an InputError is a finding, and so is a
+case above the limits of time and memory. Findings are kept in ``--keep``.
 """
 
 from __future__ import annotations
@@ -30,6 +30,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
+import numpy as np
+
+import test_thickness_maps
 import volume_samples
 from volume_sandbox import Sandbox
 
@@ -179,7 +182,9 @@ def main() -> int:
     )
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--formats", nargs="*", default=list(volume_samples.WRITERS))
+    maps = {f"map-{name}": write for name, write in test_thickness_maps.WRITERS.items()}
+    everything = [*volume_samples.WRITERS, *maps]
+    parser.add_argument("--formats", nargs="*", default=everything, choices=everything)
     parser.add_argument("--keep", type=Path, default=None, help="folder for the files that failed")
     options = parser.parse_args()
     rng = random.Random(options.seed)
@@ -191,7 +196,12 @@ def main() -> int:
         corpus = []
         for kind in options.formats:
             (root / kind).mkdir()
-            path, facts = volume_samples.WRITERS[kind](root / kind, volume_samples.volume())
+            if kind in maps:
+                path, facts = root / kind / "map", {"field_of_view": (2, 1)}
+                maps[kind](path, 0.4 + 0.1 * np.random.default_rng(0).random((20, 30)))
+                path = next((root / kind).iterdir())  # NumPy appends its suffix
+            else:
+                path, facts = volume_samples.WRITERS[kind](root / kind, volume_samples.volume())
             corpus.append((kind, path, facts))
         files = [p for p in root.rglob("*") if p.is_file()]
         others = [p.read_bytes() for p in files]
@@ -204,7 +214,9 @@ def main() -> int:
             target = rng.choice(sorted(p for p in folder.rglob("*") if p.is_file()))
             original = target.read_bytes()
             target.write_bytes(damaged(original, others, rng))
-            outcome, seconds, memory = sandbox.open(path, facts)
+            outcome, seconds, memory = sandbox.open(
+                path, facts, "map" if kind in maps else "volume"
+            )
             outcome = "InputError" if outcome.startswith("InputError: ") else outcome
             cases += 1
             if outcome in ("read", "InputError"):

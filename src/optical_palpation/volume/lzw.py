@@ -1,6 +1,6 @@
 """Check of LZW streams, as the TIFF 6.0 specification (section 13) defines them.
 
-The decoder of imagecodecs looks codes that are not in its table up in memory that nobody has filled,
+For codes that are not in its table the decoder of imagecodecs reads memory that nobody has filled,
 which sometimes takes the whole process down. It is safe on streams that pass this check.
 """
 
