@@ -20,21 +20,23 @@ def check_target(path: str | os.PathLike[str]) -> None:
         Missing folder, a folder or device in the file's place, or no permission to write.
     """
     path = Path(path)
-    folder = Path(os.path.realpath(path)).parent
-    if not folder.is_dir():
-        raise OutputError(f"{path}: there is no folder {path.parent}; create it first")
-    if path.is_dir():
-        raise OutputError(f"{path}: is a folder; give the name of a file")
-    if path.exists() and not path.is_file():
-        raise OutputError(f"{path}: is no regular file; choose another name")
     try:
+        folder = Path(os.path.realpath(path)).parent
+        if not folder.is_dir():
+            raise OutputError(f"{path}: there is no folder {path.parent}; create it first")
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder; give the name of a file")
+        if path.exists() and not path.is_file():
+            raise OutputError(f"{path}: is no regular file; choose another name")
         if path.exists() and not os.access(path, os.W_OK):
             raise PermissionError("the file exists and is write-protected")
         # Asking for permissions is not enough: only an actual file shows that one can be made.
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except OSError as error:
-        reason = error.strerror or error
+    except OutputError:
+        raise
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise OutputError(f"{path}: cannot be written ({reason}); choose another place") from error
 
 
@@ -51,7 +53,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     check_target(path)
     target = Path(os.path.realpath(path))  # a link stays a link
-    temporary = target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
+    temporary = target.with_name(f".{target.stem[:40]}.{os.getpid()}{target.suffix}")
     try:
         yield temporary
         os.replace(temporary, target)
