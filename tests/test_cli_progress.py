@@ -1,10 +1,18 @@
 """What a user sees while a computation runs."""
 
+import ctypes
 import io
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
+import pytest
 from rich.console import Console
 
+import optical_palpation
 from optical_palpation.cli.progress import ProgressDisplay
 
 
@@ -51,3 +59,67 @@ def test_quiet_says_nothing():
     with ProgressDisplay(quiet=True, console=console) as display:
         display(SimpleNamespace(stage="loading", load=0.5, newton=3, message=""))
     assert stream.getvalue() == ""
+
+
+COMPILE_OR_LOAD = """
+import numpy as np
+from optical_palpation.cli.progress import ProgressDisplay
+with ProgressDisplay():
+    from optical_palpation.mechanics.imprint import Imprint
+    x = np.linspace(0.0, 1.0, 5)
+    Imprint(x, x, np.ones((5, 5)), np.ones((5, 5))).evaluate(x, x, 1.0)
+"""
+
+
+def test_compilation_is_announced_once_per_machine(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "missing" / "cache")}
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", COMPILE_OR_LOAD],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stderr
+        for _ in range(2)
+    ]
+    assert said[0].count("compiling kernels, once per machine") == 1
+    assert said[1] == ""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="takes a privilege away as Linux does")
+def test_kernels_work_where_no_compiled_ones_can_be_kept(tmp_path):
+    """A package installed read-only, used by somebody without a home."""
+    package = tmp_path / "optical_palpation"
+    shutil.copytree(
+        Path(optical_palpation.__file__).parent,
+        package,
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
+    folders = [tmp_path, package, *package.glob("**/*/")]
+    for folder in folders:
+        folder.chmod(0o555)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", COMPILE_OR_LOAD],
+            env={
+                "PATH": os.environ["PATH"],
+                "PYTHONPATH": str(tmp_path),
+                "HOME": str(tmp_path / "home"),
+                "NUMBA_CACHE_DIR": str(package / "cache"),
+            },
+            preexec_fn=bound_by_permissions,
+            capture_output=True,
+            text=True,
+        )
+    finally:
+        for folder in folders:
+            folder.chmod(0o755)
+    assert done.returncode == 0, done.stderr
+    assert "compiling kernels" in done.stderr
+    assert not list(package.glob("**/*.nbi"))
+
+
+def bound_by_permissions():
+    """Drop the superuser's privilege to write anywhere (PR_CAPBSET_DROP, CAP_DAC_OVERRIDE)."""
+    ctypes.CDLL(None).prctl(24, 1, 0, 0, 0)

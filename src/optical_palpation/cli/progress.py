@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from types import TracebackType
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ class ProgressDisplay:
 
     On a terminal one line is kept up to date. Elsewhere (a log file, a pipe) a line is printed
     when the stage changes, at every tenth of the load, and at least every ten seconds of reports.
+    Where kernels are compiled, as in the first run on a machine, it says so.
     """
 
     def __init__(self, quiet: bool = False, console: Console | None = None) -> None:
@@ -42,8 +44,22 @@ class ProgressDisplay:
             disable=quiet or not self._console.is_terminal,
         )
         self._task = self._bar.add_task("starting", total=1.0, reached="", left="")
+        self._said_compiling = False
+        self._stack = ExitStack()
 
     def __enter__(self) -> ProgressDisplay:
+        from numba.core import event
+
+        say = self._say_compiling
+
+        class Compiling(event.Listener):
+            def on_start(self, event: object) -> None:
+                say()
+
+            def on_end(self, event: object) -> None:
+                pass
+
+        self._stack.enter_context(event.install_listener("numba:compile", Compiling()))
         self._bar.start()
         return self
 
@@ -54,6 +70,12 @@ class ProgressDisplay:
         traceback: TracebackType | None,
     ) -> None:
         self._bar.stop()
+        self._stack.close()
+
+    def _say_compiling(self) -> None:
+        if not self._said_compiling:
+            self._said_compiling = True
+            self._console.print("compiling kernels, once per machine: up to a minute")
 
     def __call__(self, report: Report) -> None:
         """Show one report."""
