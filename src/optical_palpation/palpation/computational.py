@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numba as nb
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -27,7 +26,9 @@ from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import balance
 from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem
 from optical_palpation.palpation.algebraic import algebraic_stress
+from optical_palpation.palpation.memory import check_memory
 from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.thickness.frames import layer_extent_of, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
 
@@ -93,7 +94,7 @@ def computational_stress(
     solver
         ``multigrid``, ``direct`` (sparse LU, for small grids) or ``auto``.
     threads
-        Number of threads; all cores by default.
+        Number of threads; by default one for each core that the process may use.
     progress
         Called with a :class:`Progress` now and then.
 
@@ -105,7 +106,9 @@ def computational_stress(
     Raises
     ------
     InputError
-        For a parameter or map that cannot be used.
+        For a parameter or map that cannot be used; as its subclass
+        :class:`~optical_palpation.errors.InsufficientMemoryError` where the elements would need
+        more memory than there is.
     MaterialError
         If the layer is compressed beyond the stable range of the material.
     ConvergenceError
@@ -129,6 +132,7 @@ def computational_stress(
     problem = _problem(
         loaded, initial, material, (window_friction, sample_friction), sizes, edges, smoothing
     )
+    check_memory(problem, solver)
 
     newton = 0
 
@@ -139,25 +143,21 @@ def computational_stress(
             progress(Progress(f"{level.grid.n_elements:,} elements", load, newton))
 
     if progress:
-        progress(Progress("preparing", 0.0, 0, "the first run compiles for up to a minute"))
-    before = nb.get_num_threads()
-    if threads:
-        nb.set_num_threads(min(threads, before))
+        progress(Progress("preparing", 0.0, 0))
     try:
-        solution = solve(
-            problem,
-            lambda level: _algebraic_forces(level, material),
-            solver="multigrid" if solver == "auto" else solver,
-            on_iteration=report,
-        )
+        with limited_threads(threads):
+            solution = solve(
+                problem,
+                lambda level: _algebraic_forces(level, material),
+                solver="multigrid" if solver == "auto" else solver,
+                on_iteration=report,
+            )
     except LoadNotReached as failure:
         raise ConvergenceError(
             f"the layer was loaded to {100 * failure.load:.1f} % only: {failure.reason}. Try a "
             "stronger imprint_smoothing, larger elements, less friction or other edges; and check "
             "that the thickness map is one a layer of this material can take"
         ) from None
-    finally:
-        nb.set_num_threads(before)
 
     layer, surface = _layer(solution)
     maps = _maps(solution, surface, loaded, algebraic)
