@@ -9,6 +9,8 @@ from optical_palpation.present.profiles import on_layer
 
 # Percent; an incompressible layer that is free to spread stays far below.
 _NOTABLE_VOLUME_CHANGE = 1.0
+# Share of the map; more gaps than this say that something is wrong with it.
+_NOTABLE_FILLED = 0.2
 
 
 def summarise(result: StressResult) -> str:
@@ -56,4 +58,9 @@ def summarise(result: StressResult) -> str:
             f"filled pixels: {maps.attrs['filled_share']:.2%} (missing "
             f"{maps.attrs['missing_share']:.2%}, spikes {maps.attrs['spike_share']:.2%})"
         )
+        if maps.attrs["filled_share"] > _NOTABLE_FILLED:
+            lines.append(
+                "WARNING: so much of the thickness map is made up that the stress in and around "
+                "the gaps is a guess"
+            )
     return "\n".join(lines)

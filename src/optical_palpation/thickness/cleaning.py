@@ -64,9 +64,9 @@ def clean_thickness(thickness: xr.DataArray) -> xr.Dataset:
     return xr.Dataset(
         {
             "thickness": clean,
-            "filled": clean.copy(data=filled).assign_attrs(
-                units="1", long_name="missing or spike, filled from the pixels around"
-            ),
+            "filled": clean.copy(data=filled)
+            .drop_attrs(deep=False)
+            .assign_attrs(units="1", long_name="missing or spike, filled from the pixels around"),
         },
         attrs={
             "missing_share": float(missing.mean()),

@@ -189,4 +189,12 @@ def _layer_extent(
             f"{where}: the layer extent {extent} reaches beyond the map, {whole} (x0, x1, y0, y1 "
             "in mm)"
         )
+    for axis, low, high in (("x", x0, x1), ("y", y0, y1)):
+        positions = thickness[axis].values
+        count = np.sum((positions >= low - slack) & (positions <= high + slack))
+        if count < 2:
+            raise InputError(
+                f"{where}: the layer extent {extent} holds {count} pixels along {axis}; at least 2 "
+                "are needed (it is in mm)"
+            )
     return extent

@@ -113,10 +113,10 @@ def _check_units(loaded: xr.DataArray, loaded_median: float, initial_median: flo
             f"loaded and initial thickness do not fit: {numbers}. Probably the initial thickness "
             "is in um: give it in mm; or the loaded thickness is in mm and was read as um"
         )
-    x, y = loaded["x"].values, loaded["y"].values
-    for axis, width in (("x", x[-1] - x[0]), ("y", y[-1] - y[0])):
+    x0, x1, y0, y1 = layer_extent_of(loaded)
+    for axis, width in (("x", x1 - x0), ("y", y1 - y0)):
         if not _PLAUSIBLE_ASPECT[0] < width / initial_median < _PLAUSIBLE_ASPECT[1]:
             raise InputError(
-                f"the map is {width:g} mm wide along {axis} and the layer {initial_median:g} mm "
-                "thick: one of them is probably not in mm"
+                f"the layer is {width:g} mm wide along {axis} and {initial_median:g} mm thick: one "
+                "of them is probably not in mm"
             )
