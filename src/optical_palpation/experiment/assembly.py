@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
 from optical_palpation.errors import InputError
 from optical_palpation.experiment.bodies import Body
 from optical_palpation.experiment.contact import ContactState, Interface, Plane
-from optical_palpation.experiment.equilibrium import LAYER, SAMPLE, Assembly, State
+from optical_palpation.experiment.equilibrium import INTERFACE, LAYER, SAMPLE, Assembly, State
 from optical_palpation.experiment.scene import Scene, map_height, volume_factor
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 
@@ -54,27 +55,40 @@ def build(
         sample_grid, top, sample.material, _stiffness(scene, sample_grid, stiffness)
     )
 
-    first = bodies_layer.n_nodes
-    number = np.arange(first).reshape(layer_grid.node_shape)
-    below = first + np.arange(bodies_sample.n_nodes).reshape(sample_grid.node_shape)
+    number = np.arange(bodies_layer.n_nodes).reshape(layer_grid.node_shape)
+    below = number.size + np.arange(bodies_sample.n_nodes).reshape(sample_grid.node_shape)
+    # The slaves are those of the smaller body, so that none slides off the other's edge; of equal
+    # ones the layer's, as it is held by the window.
+    if any(sample.size[n] < layer.size[n] * (1 - 1e-9) for n in range(2)):
+        slave, master, side = sample_grid, layer_grid, 1.0
+        faces = below[0], number[-1]
+    else:
+        slave, master, side = layer_grid, sample_grid, -1.0
+        faces = number[-1], below[0]
     start = np.stack(
         [
-            np.interp(x.ravel(), layer_x, np.arange(layer_x.size)),
-            np.interp(y.ravel(), layer_y, np.arange(layer_y.size)),
+            np.tile(np.interp(slave.x, master.x, np.arange(master.x.size)), slave.y.size),
+            np.repeat(np.interp(slave.y, master.y, np.arange(master.y.size)), slave.x.size),
         ],
         axis=1,
     )
     friction = scene.friction
-    faces = bodies_layer.nodes[:, 0], bodies_sample.nodes[:, 0], bodies_sample.nodes[:, -1]
-    grids = layer_grid, sample_grid, sample_grid
+    surfaces = (
+        (layer_grid, bodies_layer.nodes[:, 0]),
+        (slave, (bodies_sample.nodes[:, 0] if side > 0 else bodies_layer.nodes[:, -1])),
+        (sample_grid, bodies_sample.nodes[:, -1]),
+    )
+    window, interface, base = (grid.surface_areas(nodes).ravel() for grid, nodes in surfaces)
     return Assembly(
         bodies=(bodies_layer, bodies_sample),
         contacts=(
             Plane(number[0].ravel(), -1.0, friction.window),
-            Interface(below[0].ravel(), number[-1], friction.sample, start),
+            Interface(
+                faces[0].ravel(), faces[1], friction.sample, side, start, master.spacing()[2]
+            ),
             Plane(below[-1].ravel(), 1.0, friction.plate),
         ),
-        areas=tuple(g.surface_areas(f).ravel() for g, f in zip(grids, faces, strict=True)),
+        areas=(window, interface, base),
         plate=float(plate),
         compression=scene.compression,
         slip_length=2e-3 * layer.thickness,
@@ -102,52 +116,50 @@ def at_rest(assembly: Assembly) -> State:
 def column_forces(assembly: Assembly) -> tuple[Array, Array, Array]:
     """Contact forces at full load if every column of layer and sample were a spring of its own."""
     layer, sample = assembly.bodies
-    gap = sample.top - layer.grid.thickness[0, 0]
-    compliance = layer.grid.thickness[0, 0] / layer.material.initial_youngs_modulus
+    thickness = layer.grid.thickness[0, 0]
     height = np.diff(sample.grid.depth)[:, None, None]
     nodal = np.pad(1 / sample.stiffness, ((0, 0), (0, 1), (0, 1)), mode="edge")
+    compliance = thickness / layer.material.initial_youngs_modulus
     compliance = compliance + sample.grid.thickness * (height * nodal).sum(0) / (
         sample.material.initial_youngs_modulus
     )
-    pressure = np.maximum(assembly.compression - gap, 0.0) / compliance
-    ny1, nx1 = layer.grid.node_shape[1:]
-    on_layer = np.zeros((ny1, nx1))
-    x, y = layer.grid.x, layer.grid.y
-    inside_x = (x >= sample.grid.x[0] - 1e-9) & (x <= sample.grid.x[-1] + 1e-9)
-    inside_y = (y >= sample.grid.y[0] - 1e-9) & (y <= sample.grid.y[-1] + 1e-9)
-    j = np.abs(y[inside_y, None] - sample.grid.y).argmin(1)
-    i = np.abs(x[inside_x, None] - sample.grid.x).argmin(1)
-    on_layer[np.ix_(inside_y, inside_x)] = pressure[np.ix_(j, i)]
-    pressures = on_layer.ravel(), pressure.ravel(), pressure.ravel()
-    window, interface, plate = (p * area for p, area in zip(pressures, assembly.areas, strict=True))
+    pressure = np.maximum(assembly.compression - (sample.top - thickness), 0.0) / compliance
+    on_sample = RegularGridInterpolator(
+        (sample.grid.y, sample.grid.x), pressure, "nearest", bounds_error=False, fill_value=0.0
+    )
+    on_layer = on_sample(np.stack(np.meshgrid(layer.grid.y, layer.grid.x, indexing="ij"), -1))
+    of_slaves = on_layer if assembly.contacts[INTERFACE].side < 0 else pressure
+    window, interface, plate = (
+        p.ravel() * area
+        for p, area in zip((on_layer, of_slaves, pressure), assembly.areas, strict=True)
+    )
     return window, interface, plate
 
 
 def _lateral(
     layer: float, sample: float, size: float, edge: float | None, axis: str
 ) -> tuple[Array, Array]:
-    """Lateral nodes of layer and sample along one axis; they coincide where both are."""
-    if sample > layer * (1 + 1e-9):
+    """Lateral nodes of layer and sample along one axis, equal where both bodies are."""
+    smaller = min(layer, sample)
+    if size > 0.25 * smaller * (1 + 1e-9):
         raise InputError(
-            f"sample: its size along {axis}, {sample:g} mm, exceeds that of the layer, {layer:g} mm"
+            f"mesh: element_size {size:g} mm is larger than a quarter of the smaller body along "
+            f"{axis}, {0.25 * smaller:g} mm"
         )
-    if size > 0.25 * sample * (1 + 1e-9):
-        raise InputError(
-            f"mesh: element_size {size:g} mm is larger than a quarter of the sample along {axis}, "
-            f"{0.25 * sample:g} mm"
-        )
-    start = 0.5 * (layer - sample)
-    inner = node_positions(sample, size, start, edge=edge)
-    if start < 0.5 * size:
-        inner = node_positions(layer, size, edge=edge)
-        return inner, inner
-    first = inner[1] - inner[0]
-    widths = [first]
-    while sum(widths) < start:
+    start = 0.5 * (layer - smaller)
+    inner = node_positions(smaller, size, start, edge=edge)
+    return _extended(inner, start, size), _extended(inner, 0.5 * (sample - smaller), size)
+
+
+def _extended(inner: Array, width: float, size: float) -> Array:
+    """Continue nodes on both sides by ``width`` with growing elements."""
+    if width < 1e-9:
+        return inner
+    widths = [min(_GROWTH_OUTSIDE * (inner[1] - inner[0]), size)]
+    while sum(widths) < width:
         widths.append(min(widths[-1] * _GROWTH_OUTSIDE, 2 * size))
-    outside = np.cumsum(widths) * start / sum(widths)
-    nodes = np.concatenate([start - outside[::-1], inner, start + sample + outside])
-    return nodes, inner
+    outside = np.cumsum(widths) * width / sum(widths)
+    return np.concatenate([inner[0] - outside[::-1], inner, inner[-1] + outside])
 
 
 def _graded(thickness: float, first: float, growth: float) -> Array:

@@ -8,7 +8,7 @@ x-y plane.
 
 A slave at (x, y) lies above the master's point xi at which S_xy(xi) = (x, y). With w the weights
 of the master's nodes there, W = (1, -w) over slave and master nodes and v = (-h_x, -h_y, 1) from
-the slope of the surface,
+the slope of the surface (its opposite for slaves on the -z side),
 
     d phi = -sum_a W_a v . dx_a,
 
@@ -93,7 +93,9 @@ class Interface:
     slaves: Numbers
     master: Numbers
     friction: float
+    side: float
     start: Array
+    element: float
 
     def meet(self, position: Array, height: float = 0.0) -> Meeting:
         """Return where the slaves are on the master's surface."""
@@ -108,6 +110,8 @@ class Interface:
             position[self.master],
             self.master,
             self.start,
+            self.element,
+            self.side,
             nodes,
             weights,
             gradient,
@@ -314,7 +318,18 @@ def _weights(s, n, w):
 
 @nb.njit(cache=True)
 def _project(
-    slaves, surface, numbers, start, nodes, weights, gradient, direction, curvature, depth
+    slaves,
+    surface,
+    numbers,
+    start,
+    size,
+    side,
+    nodes,
+    weights,
+    gradient,
+    direction,
+    curvature,
+    depth,
 ):
     ny, nx = surface.shape[0] - 1, surface.shape[1] - 1
     wx, wy = np.empty((3, 4)), np.empty((3, 4))
@@ -323,7 +338,7 @@ def _project(
         px, py = start[s, 0], start[s, 1]
         bx = by = 0
         ox = oy = det = 0.0
-        for iteration in range(50):
+        for _ in range(50):
             bx, ox = _weights(px, nx, wx)
             by, oy = _weights(py, ny, wy)
             d[:] = 0
@@ -348,10 +363,9 @@ def _project(
             px = min(max(px, -2 * _REACH), nx + 2 * _REACH)
             py = min(max(py, -2 * _REACH), ny + 2 * _REACH)
         start[s, 0], start[s, 1] = px, py
-        size = np.sqrt(abs(det))
         met = abs(ox) < _REACH and abs(oy) < _REACH
         # the rounding of the edge
-        drop = _ROUNDING * size
+        drop = side * _ROUNDING * size
         d[0, 2] -= 0.5 * drop * (ox * ox + oy * oy)
         d[1, 2] -= drop * ox
         d[2, 2] -= drop * oy
@@ -370,8 +384,9 @@ def _project(
         curvature[s, 1, 1] = i01 * (m0 * i01 + m1 * i11) + i11 * (m1 * i01 + m2 * i11)
         curvature[s, 0, 1] = i00 * (m0 * i01 + m1 * i11) + i10 * (m1 * i01 + m2 * i11)
         curvature[s, 1, 0] = curvature[s, 0, 1]
-        direction[s, 0], direction[s, 1], direction[s, 2] = -hx, -hy, 1.0
-        depth[s] = d[0, 2] - slaves[s, 2]
+        direction[s, 0], direction[s, 1], direction[s, 2] = -side * hx, -side * hy, side
+        curvature[s] *= side
+        depth[s] = side * (d[0, 2] - slaves[s, 2])
         for b in range(4):
             for a in range(4):
                 n = 1 + 4 * b + a
