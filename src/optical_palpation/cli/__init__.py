@@ -1,7 +1,7 @@
 """The command line: parse, call the Python interface, show progress; it computes nothing.
 
 Exit status: 0 done, 2 something the user supplied cannot be used (nothing was written), 3 the
-mechanical solution did not reach the full load.
+mechanical solution did not reach the full load, 130 interrupted by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -62,3 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OpticalPalpationError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(3 if isinstance(error, ConvergenceError) else 2)
+    except SystemExit as leaving:
+        if leaving.code == 130:  # Ctrl-C, about which typer says nothing
+            print("interrupted; no file is left half-written", file=sys.stderr)
+        raise
