@@ -182,10 +182,16 @@ def _percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def convergence_rows(result: StressResult) -> list[dict[str, Any]]:
+def convergence_rows(result: StressResult) -> list[dict[str, float]]:
     """Steps of the solution: elements, share of the load reached, Newton iterations."""
-    record = result.maps.attrs.get("convergence", "[]")
-    return json.loads(record) if isinstance(record, str) else []
+    kinds = {"elements": int, "load": float, "newton": int}
+    try:
+        steps = json.loads(result.maps.attrs.get("convergence", "[]"))
+        rows = [{name: kind(step[name]) for name, kind in kinds.items()} for step in steps]
+        json.dumps(rows, allow_nan=False)
+        return rows
+    except (TypeError, ValueError, KeyError):  # a result that other software wrote
+        return []
 
 
 def parameter_sections(parameters: Mapping[str, object]) -> list[tuple[str, list[tuple[str, str]]]]:

@@ -58,6 +58,7 @@ def write_report(
         What was found in each volume, on the pixels of that volume, as
         :func:`~optical_palpation.thickness.find_layer` gives it; or as
         :func:`~optical_palpation.thickness.clean_thickness` gives it, without depths and quality.
+        Coordinates may have been shifted to register one to the other; pixels must not.
         None where there is nothing but the maps of the result.
     volumes
         Open volumes, ``"loaded"`` and ``"unloaded"``, either or both, to draw B-scans and
