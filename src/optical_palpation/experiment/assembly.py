@@ -83,9 +83,7 @@ def build(
         bodies=(bodies_layer, bodies_sample),
         contacts=(
             Plane(number[0].ravel(), -1.0, friction.window),
-            Interface(
-                faces[0].ravel(), faces[1], friction.sample, side, start, master.spacing()[2]
-            ),
+            Interface(faces[0], faces[1], friction.sample, side, start, master.spacing()[2]),
             Plane(below[-1].ravel(), 1.0, friction.plate),
         ),
         areas=(window, interface, base),

@@ -12,8 +12,9 @@ the slope of the surface (its opposite for slaves on the -z side),
 
     d phi = -sum_a W_a v . dx_a,
 
-exactly, sliding included: what the slave bears the master gives, and the moments balance too.
-The slip since the last load is that from the point of the master the slave was at.
+exactly, sliding included. The contact force acts along the area vector of the slave's deformed
+element faces (``mechanics.contact`` tells why), and what the slave bears the master's nodes give,
+in the shares w. The slip since the last load is that from the point of the master the slave was at.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ import numba as nb
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+
+from optical_palpation.mechanics.contact import _turning_stiffness, area_vectors
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -44,17 +47,20 @@ _REACH = 2.0
 class Meeting:
     """Where the n slaves of a contact are on what they meet, q nodes taking part in each.
 
-    ``nodes`` (n, q) and ``weights`` W (n, q), slave first; ``direction`` v (n, 3);
-    ``gradient`` (n, q, 2) of the weights by x and y; ``curvature`` (n, 2, 2) of the surface;
-    ``penetration`` (n), mm.
+    ``nodes`` (n, q) and ``weights`` W (n, q), slave first; ``gradient`` (n, q, 2) of the weights by
+    x and y; ``direction`` v (n, 3); ``push`` (n, 3), that of the contact force, of equal z;
+    ``penetration`` (n), mm. ``turning`` (n, 9, 2, 3) is the derivative of the lateral push by the
+    positions of the ``neighbours`` (n, 9) on the slave's surface.
     """
 
     nodes: Numbers
     weights: Array
-    direction: Array
     gradient: Array
-    curvature: Array
+    direction: Array
+    push: Array
     penetration: Array
+    neighbours: Numbers | None = None
+    turning: Array | None = None
 
     def lateral_offset(self, position: Array) -> Array:
         """Sum of W x, y over the nodes (n, 2)."""
@@ -72,19 +78,20 @@ class Plane:
     def meet(self, position: Array, height: float) -> Meeting:
         """Return where the slaves are on the plane z = ``height``."""
         n = self.slaves.size
+        direction = np.tile([0.0, 0.0, -self.sign], (n, 1))
         return Meeting(
             nodes=self.slaves[:, None],
             weights=np.ones((n, 1)),
-            direction=np.tile([0.0, 0.0, -self.sign], (n, 1)),
             gradient=np.zeros((n, 1, 2)),
-            curvature=np.zeros((n, 2, 2)),
+            direction=direction,
+            push=direction,
             penetration=self.sign * (position[self.slaves, 2] - height),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Interface:
-    """Slaves of one body on a structured surface, ``master`` (ny + 1, nx + 1), of another.
+    """Structured surface of one body, ``slaves``, on that of another, ``master`` (ny + 1, nx + 1).
 
     The slaves lie on the +z side of the surface. ``start`` (n, 2): the slaves' first guess of
     their (column, row) on the surface.
@@ -99,14 +106,15 @@ class Interface:
 
     def meet(self, position: Array, height: float = 0.0) -> Meeting:
         """Return where the slaves are on the master's surface."""
-        n = self.slaves.size
+        numbers = self.slaves.ravel()
+        n = numbers.size
         nodes = np.empty((n, 17), np.intp)
-        nodes[:, 0] = self.slaves
+        nodes[:, 0] = numbers
         weights, gradient = np.zeros((n, 17)), np.zeros((n, 17, 2))
         weights[:, 0] = 1.0
-        direction, curvature, depth = np.empty((n, 3)), np.empty((n, 2, 2)), np.empty(n)
+        direction, depth = np.empty((n, 3)), np.empty(n)
         _project(
-            position[self.slaves],
+            position[numbers],
             position[self.master],
             self.master,
             self.start,
@@ -116,10 +124,25 @@ class Interface:
             weights,
             gradient,
             direction,
-            curvature,
             depth,
         )
-        return Meeting(nodes, weights, direction, gradient, curvature, depth)
+        surface = np.moveaxis(position[self.slaves], -1, 0)
+        area = area_vectors(surface)
+        turning = np.zeros((*self.slaves.shape, 9, 2, 3))
+        _turning_stiffness(surface, self.side / area[2], -area[:2] / area[2], turning)
+        around = np.pad(self.slaves, 1, mode="edge")
+        ny, nx = self.slaves.shape
+        neighbours = [around[j : j + ny, i : i + nx].ravel() for j in range(3) for i in range(3)]
+        return Meeting(
+            nodes=nodes,
+            weights=weights,
+            gradient=gradient,
+            direction=direction,
+            push=self.side * (area / area[2]).reshape(3, -1).T,
+            penetration=depth,
+            neighbours=np.stack(neighbours, axis=1),
+            turning=turning.reshape(n, 9, 2, 3),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +185,7 @@ class ContactTerms:
     def rows(self) -> Array:
         """What a unit of N puts on the nodes (n, q, 3)."""
         meeting = self.meeting
-        rows = -meeting.weights[:, :, None] * meeting.direction[:, None, :]
+        rows = -meeting.weights[:, :, None] * meeting.push[:, None, :]
         rows[:, :, :2] += meeting.weights[:, :, None] * self.sliding[:, None, :]
         return rows
 
@@ -172,18 +195,25 @@ class ContactTerms:
         moved = np.einsum("nq,nqc->nc", meeting.weights, du[meeting.nodes])
         return -self.spring * (moved * meeting.direction).sum(1) - self.jump
 
-    def blocks(self) -> Array:
-        """Tangent of the nodal forces (n, q, q, 3, 3)."""
+    def blocks(self) -> list[tuple[Numbers, Numbers, Array]]:
+        """Tangent of the nodal forces: nodes (n, a) and (n, b), and blocks (n, a, b, 3, 3)."""
         meeting = self.meeting
-        w, v, g = meeting.weights, meeting.direction, meeting.gradient
-        normal = np.maximum(self.state.force, 0.0)
-        pull = -self.spring[:, None, None] * w[:, :, None] * v[:, None, :]
-        out = np.einsum("nac,nbd->nabcd", self.rows, pull)
-        lateral = self.friction_stiffness + normal[:, None, None] * meeting.curvature
-        out[..., :2, :2] += np.einsum("na,nb,ncd->nabcd", w, w, lateral)
-        turn = np.einsum("n,na,nbc,nd->nabcd", normal, w, g, v)
-        out[..., :2, :] += turn
-        out[..., :, :2] += turn[..., :2, :].transpose(0, 2, 1, 4, 3)
+        w = meeting.weights
+        normal = np.maximum(self.state.force, 0.0)[:, None, None]
+        own = np.einsum(
+            "nac,nbd->nabcd",
+            self.rows,
+            -self.spring[:, None, None] * w[:, :, None] * meeting.direction[:, None, :],
+        )
+        own[..., :2, :2] += np.einsum("na,nb,ncd->nabcd", w, w, self.friction_stiffness)
+        force = normal[:, 0] * meeting.push
+        force[:, :2] -= normal[:, 0] * self.sliding
+        own[..., :2] += np.einsum("nc,nad,nb->nabcd", force, meeting.gradient, w)
+        out = [(meeting.nodes, meeting.nodes, own)]
+        if meeting.turning is not None and meeting.neighbours is not None:
+            turn = np.zeros((*w.shape, 9, 3, 3))
+            turn[..., :2, :] = np.einsum("na,nbcd->nabcd", -w * normal[:, 0], meeting.turning)
+            out.append((meeting.nodes, meeting.neighbours, turn))
         return out
 
 
@@ -255,10 +285,10 @@ def assembled(terms: list[ContactTerms], n_nodes: int) -> tuple[sp.bsr_matrix, A
     for term in terms:
         nodes = term.meeting.nodes
         np.add.at(force, nodes, term.residual - term.rows * term.jump[:, None, None])
-        q = nodes.shape[1]
-        rows.append(np.repeat(nodes, q, axis=1).ravel())
-        columns.append(np.tile(nodes, q).ravel())
-        blocks.append(term.blocks().reshape(-1, 9))
+        for left, right, block in term.blocks():
+            rows.append(np.repeat(left, right.shape[1], axis=1).ravel())
+            columns.append(np.tile(right, left.shape[1]).ravel())
+            blocks.append(block.reshape(-1, 9))
     keys, place = np.unique(
         np.concatenate(rows) * n_nodes + np.concatenate(columns), return_inverse=True
     )
@@ -273,7 +303,7 @@ def assembled(terms: list[ContactTerms], n_nodes: int) -> tuple[sp.bsr_matrix, A
 
 @nb.njit(cache=True)
 def _weights(s, n, w):
-    """Catmull-Rom weights w[3, 4] (value, first, second derivative) on nodes base..base + 3.
+    """Catmull-Rom weights w[2, 4] (value, derivative) on nodes base..base + 3.
 
     At its ends the curve has a third-order one-sided tangent, and beyond them it is straight.
     Returns the base and how far s lies outside 0..n.
@@ -281,7 +311,7 @@ def _weights(s, n, w):
     outside = s if s < 0 else (s - n if s > n else 0.0)
     i = min(max(int(np.floor(s)), 0), n - 1)
     t = min(max(s - i, 0.0), 1.0)
-    v = np.empty((3, 4))
+    v = np.empty((2, 4))
     v[0, 0] = t * (-0.5 + t * (1 - 0.5 * t))
     v[0, 1] = 1 + t * t * (-2.5 + 1.5 * t)
     v[0, 2] = t * (0.5 + t * (2 - 1.5 * t))
@@ -290,13 +320,9 @@ def _weights(s, n, w):
     v[1, 1] = t * (-5 + 4.5 * t)
     v[1, 2] = 0.5 + t * (4 - 4.5 * t)
     v[1, 3] = t * (-1 + 1.5 * t)
-    v[2, 0] = 2 - 3 * t
-    v[2, 1] = -5 + 9 * t
-    v[2, 2] = 4 - 9 * t
-    v[2, 3] = -1 + 3 * t
     base = min(max(i - 1, 0), n - 3)
     w[:] = 0
-    for d in range(3):
+    for d in range(2):
         for a in range(4):
             node = i - 1 + a
             if node < 0:
@@ -312,7 +338,6 @@ def _weights(s, n, w):
     if outside != 0:
         for a in range(4):
             w[0, a] += outside * w[1, a]
-            w[2, a] = 0
     return base, outside
 
 
@@ -328,12 +353,11 @@ def _project(
     weights,
     gradient,
     direction,
-    curvature,
     depth,
 ):
     ny, nx = surface.shape[0] - 1, surface.shape[1] - 1
-    wx, wy = np.empty((3, 4)), np.empty((3, 4))
-    d = np.empty((6, 3))  # S and its derivatives: 0, x, y, xx, xy, yy (of the parameters)
+    wx, wy = np.empty((2, 4)), np.empty((2, 4))
+    d = np.empty((3, 3))  # S and its derivatives by the parameters
     for s in range(slaves.shape[0]):
         px, py = start[s, 0], start[s, 1]
         bx = by = 0
@@ -349,9 +373,6 @@ def _project(
                         d[0, c] += wy[0, b] * wx[0, a] * x
                         d[1, c] += wy[0, b] * wx[1, a] * x
                         d[2, c] += wy[1, b] * wx[0, a] * x
-                        d[3, c] += wy[0, b] * wx[2, a] * x
-                        d[4, c] += wy[1, b] * wx[1, a] * x
-                        d[5, c] += wy[2, b] * wx[0, a] * x
             det = d[1, 0] * d[2, 1] - d[2, 0] * d[1, 1]
             rx, ry = slaves[s, 0] - d[0, 0], slaves[s, 1] - d[0, 1]
             sx = (rx * d[2, 1] - ry * d[2, 0]) / det
@@ -369,23 +390,11 @@ def _project(
         d[0, 2] -= 0.5 * drop * (ox * ox + oy * oy)
         d[1, 2] -= drop * ox
         d[2, 2] -= drop * oy
-        if ox != 0:
-            d[3, 2] -= drop
-        if oy != 0:
-            d[5, 2] -= drop
         hx = (d[1, 2] * d[2, 1] - d[2, 2] * d[1, 1]) / det
         hy = (d[2, 2] * d[1, 0] - d[1, 2] * d[2, 0]) / det
-        i00, i01, i10, i11 = d[2, 1] / det, -d[2, 0] / det, -d[1, 1] / det, d[1, 0] / det
-        m0 = d[3, 2] - hx * d[3, 0] - hy * d[3, 1]
-        m1 = d[4, 2] - hx * d[4, 0] - hy * d[4, 1]
-        m2 = d[5, 2] - hx * d[5, 0] - hy * d[5, 1]
         # inverse Jacobian: parameters by x (i00, i10) and by y (i01, i11)
-        curvature[s, 0, 0] = i00 * (m0 * i00 + m1 * i10) + i10 * (m1 * i00 + m2 * i10)
-        curvature[s, 1, 1] = i01 * (m0 * i01 + m1 * i11) + i11 * (m1 * i01 + m2 * i11)
-        curvature[s, 0, 1] = i00 * (m0 * i01 + m1 * i11) + i10 * (m1 * i01 + m2 * i11)
-        curvature[s, 1, 0] = curvature[s, 0, 1]
+        i00, i01, i10, i11 = d[2, 1] / det, -d[2, 0] / det, -d[1, 1] / det, d[1, 0] / det
         direction[s, 0], direction[s, 1], direction[s, 2] = -side * hx, -side * hy, side
-        curvature[s] *= side
         depth[s] = side * (d[0, 2] - slaves[s, 2])
         for b in range(4):
             for a in range(4):
@@ -398,5 +407,4 @@ def _project(
         if not met:
             depth[s] = -10 * size
             direction[s, 0] = direction[s, 1] = 0
-            curvature[s] = 0
             gradient[s] = 0
