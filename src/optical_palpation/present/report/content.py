@@ -190,7 +190,7 @@ def convergence_rows(result: StressResult) -> list[dict[str, float]]:
         rows = [{name: kind(step[name]) for name, kind in kinds.items()} for step in steps]
         json.dumps(rows, allow_nan=False)
         return rows
-    except (TypeError, ValueError, KeyError):  # a result that other software wrote
+    except (TypeError, ValueError, KeyError, OverflowError):  # a result that other software wrote
         return []
 
 
