@@ -16,6 +16,7 @@ import json
 import os
 import platform
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -238,7 +239,7 @@ def run_start(folder: Path, threads: int | None) -> dict:
 
 
 def print_first_iteration(threads: int | None) -> None:
-    """Solve the smallest case; print when its first Newton iteration began and when it ended."""
+    """Solve a small case; print when its first Newton iteration began and when it ended."""
     from optical_palpation.material import MooneyRivlin
     from optical_palpation.palpation import computational_stress
 
@@ -255,29 +256,38 @@ def print_first_iteration(threads: int | None) -> None:
         MooneyRivlin(2.23, 0.703),
         window_friction=0.15,
         sample_friction=0.05,
-        element_size=0.125,
+        element_size=0.25,
         threads=threads,
         progress=note,
     )
     print(first, time.time())
 
 
-def child(name: str, threads: int | None, limit: float) -> dict:
+def child(name: str, threads: int | None, limit: float, calculix_limit: float) -> dict:
     """Run one measurement in a process of its own; what it found, or why it found nothing."""
+    if name == "sinusoid":
+        limit += calculix_limit
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, __file__, "--child", name, folder, "--limit", str(limit)]
+        command = [sys.executable, __file__, "--child", name, folder]
+        command += ["--calculix-limit", str(calculix_limit)]
         if threads:
             command += ["--threads", str(threads)]
         log = Path(folder) / "log"
-        try:
-            with log.open("w") as stream:
-                subprocess.run(
-                    command, stdout=stream, stderr=stream, timeout=limit + 60, check=True
-                )
-        except subprocess.TimeoutExpired:
-            return {"failed": f"no result within {limit:.0f} s"}
-        except subprocess.CalledProcessError as error:
-            said = log.read_text().strip().splitlines() or [f"exit status {error.returncode}"]
+        with log.open("w") as stream:
+            # a session of its own, so that a case out of time ends with all that it has started
+            process = subprocess.Popen(
+                command, stdout=stream, stderr=stream, start_new_session=True
+            )
+            try:
+                process.wait(limit)
+            except subprocess.TimeoutExpired:
+                return {"failed": f"no result within {limit:.0f} s"}
+            finally:
+                if process.poll() is None:
+                    os.killpg(process.pid, signal.SIGKILL)
+                    process.wait()
+        if process.returncode:
+            said = log.read_text().strip().splitlines() or [f"exit status {process.returncode}"]
             return {"failed": said[-1]}
         found = json.loads((Path(folder) / "found.json").read_text())
         pressure = Path(folder) / "pressure.npz"
@@ -339,7 +349,7 @@ def main() -> None:
             print_first_iteration(threads)
             return
         if name == "sinusoid":
-            found = run_sinusoid(threads, arguments.limit)
+            found = run_sinusoid(threads, arguments.calculix_limit)
         elif name == "start":
             found = run_start(folder, threads)
         else:
@@ -359,8 +369,8 @@ def main() -> None:
     for name in chosen:
         print(f"{name} ...", flush=True)
         started = time.perf_counter()
-        longest = arguments.calculix_limit if name == "sinusoid" else limit
-        new[name] = child(name, threads, longest) | {"machine": here}
+        found = child(name, threads, limit, arguments.calculix_limit)
+        new[name] = found | {"machine": here}
         if name in CASES:
             print(performance_page.case_line(name, CASES[name], new[name]), flush=True)
         elif "failed" in new[name]:

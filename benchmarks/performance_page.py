@@ -214,6 +214,6 @@ def _start(found: dict | None) -> str:
     return (
         f"A process with compiled kernels begins its first Newton iteration "
         f"{compiled['first_iteration_s']:.1f} s after it was called (aim: 2). With an empty cache "
-        f"the whole run of the smallest case takes {compiling['whole_s']:.0f} s, of which "
+        f"a whole run with 250 um elements takes {compiling['whole_s']:.0f} s, of which "
         f"{compiling['whole_s'] - compiled['whole_s']:.0f} s are compilation (aim: 40).\n"
     )
