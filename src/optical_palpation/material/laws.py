@@ -16,6 +16,10 @@ from optical_palpation.errors import InputError, MaterialError
 # more than 3 % under 3 mu, so that the incompressible uniaxial curve misses the stress by as much,
 # and the isochoric-volumetric split of the energy predicts wrong lateral strains.
 LOWEST_BULK_TO_SHEAR = 10.0
+# Water over the softest gel; 1e4 is already as good as incompressible.
+HIGHEST_BULK_TO_SHEAR = 1e8
+# kPa, from 1 Pa to 1 GPa: softer than any gel, harder than any layer that a sample could press.
+PLAUSIBLE_SHEAR_MODULUS = (1e-3, 1e6)
 
 # Uniaxial stretches over which a law must be stable to be accepted. Layers are used to about 50 %
 # compression; beyond it the published method itself breaks down (section 4).
@@ -41,8 +45,8 @@ class MooneyRivlin:
     Raises
     ------
     MaterialError
-        If a parameter is not finite, the shear modulus is not positive, the law is unstable in the
-        working range, or ``bulk_to_shear`` is too low.
+        If a parameter is not finite, the shear modulus is not positive or no soft solid's, the law
+        is unstable in the working range, or ``bulk_to_shear`` is outside 10 to 1e8.
     """
 
     c10: float
@@ -58,10 +62,17 @@ class MooneyRivlin:
             if not math.isfinite(value):
                 raise MaterialError(f"{name} = {value} is not finite")
             object.__setattr__(self, name, value)
-        if not 0.0 < self.shear_modulus < math.inf:
+        given = f"(c10 = {self.c10:g} kPa, c01 = {self.c01:g} kPa)"
+        if not self.shear_modulus > 0.0:
             raise MaterialError(
                 f"unstable material: the shear modulus 2 (c10 + c01) = {self.shear_modulus:g} kPa "
-                f"is not positive (c10 = {self.c10:g} kPa, c01 = {self.c01:g} kPa)"
+                f"is not positive {given}"
+            )
+        softest, hardest = PLAUSIBLE_SHEAR_MODULUS
+        if not softest <= self.shear_modulus <= hardest:
+            raise MaterialError(
+                f"a shear modulus 2 (c10 + c01) of {self.shear_modulus:g} kPa is that of no soft "
+                f"layer, {softest:g} to {hardest:g} kPa {given}: are the coefficients in kPa?"
             )
         lowest, highest = stable_stretches(self.c10, self.c01)
         if lowest > WORKING_STRETCHES[0] or highest < WORKING_STRETCHES[1]:
@@ -76,6 +87,11 @@ class MooneyRivlin:
                 f"bulk_to_shear = {self.bulk_to_shear:g} is too low: the law holds for nearly "
                 f"incompressible layers, bulk_to_shear >= {LOWEST_BULK_TO_SHEAR:g} "
                 "(the published runs used 20; the default is 10000)"
+            )
+        if self.bulk_to_shear > HIGHEST_BULK_TO_SHEAR:
+            raise MaterialError(
+                f"bulk_to_shear = {self.bulk_to_shear:g} is beyond that of any material, "
+                f"{HIGHEST_BULK_TO_SHEAR:g}; 10000 is as good as incompressible"
             )
 
     @property
