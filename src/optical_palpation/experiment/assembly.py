@@ -86,6 +86,7 @@ def build(
             Interface(faces[0], faces[1], friction.sample, side, start, master.spacing()[2]),
             Plane(below[-1].ravel(), 1.0, friction.plate),
         ),
+        slave_grids=(layer_grid, slave, sample_grid),
         areas=(window, interface, base),
         plate=float(plate),
         compression=scene.compression,

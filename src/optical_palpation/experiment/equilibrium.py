@@ -20,6 +20,7 @@ from optical_palpation.experiment.contact import (
     remembered,
 )
 from optical_palpation.experiment.linear import LinearSolver
+from optical_palpation.mechanics.grid import LayerGrid
 
 Array = NDArray[np.float64]
 LAYER, SAMPLE = 0, 1
@@ -28,20 +29,24 @@ WINDOW, INTERFACE, PLATE = 0, 1, 2
 #: Smoothing of contact, as a pressure in units of the shear modulus: at first, and in the end.
 _SMOOTHING = (3e-2, 1e-3)
 _ITERATIONS = 25
-#: When a load is reached: out-of-balance forces relative to contact forces, violation of J - 1.
+#: When the full load is reached: out-of-balance forces relative to contact forces, violation of
+#: J - 1. Loads on the way to it are reached sooner by ``_ON_THE_WAY``.
 _FORCE, _VOLUME = 1e-5, 1e-6
+_ON_THE_WAY = 30.0
 
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
     """Window (z = 0), layer, sample and plate; nodes are numbered layer first.
 
-    ``areas`` and ``scales`` (c of the contact law) per slave of the three contacts; ``plate`` the
-    plate's z at rest, ``compression`` its travel, mm; ``slip_length`` that of the friction law.
+    ``slave_grids`` are the grids of the bodies that the slaves of the contacts belong to, ``areas``
+    the slaves' shares of the surface and ``scales`` c of their law; ``plate`` the plate's z at
+    rest, ``compression`` its travel, mm; ``slip_length`` that of the friction law.
     """
 
     bodies: tuple[Body, Body]
     contacts: tuple[Plane, Interface, Plane]
+    slave_grids: tuple[LayerGrid, LayerGrid, LayerGrid]
     areas: tuple[Array, Array, Array]
     plate: float
     compression: float
@@ -254,7 +259,9 @@ def equilibrate(
     NotConverged
         When the iterations run out, an element turns inside out or numbers overflow.
     """
-    smoothing = _SMOOTHING[0]
+    first = not any(contact.memory.any() for contact in state.contacts)
+    smoothing = _SMOOTHING[0 if first else 1]
+    enough = 1.0 if state.load == 1.0 else _ON_THE_WAY
     now = balance(assembly, state, smoothing)
     for iteration in range(iterations):
         if on_iteration:
@@ -262,8 +269,8 @@ def equilibrate(
         if (
             iteration > 0
             and smoothing == _SMOOTHING[1]
-            and now.force_error < _FORCE
-            and now.volume_error < _VOLUME
+            and now.force_error < enough * _FORCE
+            and now.volume_error < enough * _VOLUME
         ):
             return state, iteration
         du, dp, dn = newton_step(assembly, state, now, solver)

@@ -207,11 +207,13 @@ class Scene(_Part):
     """A virtual experiment (section 6 of the paper).
 
     ``compression``: how far, in mm, the plate moves towards the window after the highest point of
-    the sample has touched the layer.
+    the sample has touched the layer. ``pixel_spacing``: that of the maps, mm; by default half the
+    size of the elements.
     """
 
     title: str = ""
     compression: Positive
+    pixel_spacing: Positive | None = None
     layer: Layer
     sample: Sample
     friction: Friction = Friction()

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import xarray as xr
 
+from optical_palpation.errors import ConvergenceError, InputError
+from optical_palpation.experiment.assembly import build
+from optical_palpation.experiment.cascade import solve
+from optical_palpation.experiment.equilibrium import LAYER, SAMPLE, Assembly, LoadNotReached
+from optical_palpation.experiment.observe import body_dataset, observed_maps
 from optical_palpation.experiment.scene import Scene
+from optical_palpation.mechanics.grid import node_positions
+from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.computational import Progress
+from optical_palpation.palpation.threads import limited_threads
+from optical_palpation.thickness.frames import thickness_map
+
+#: Elements up to which the load path is followed on the mesh itself.
+_COARSEST = 4000
 
 
 @dataclass(frozen=True)
@@ -63,7 +76,7 @@ def run_experiment(
     progress
         Called with a :class:`~optical_palpation.palpation.Progress` now and then.
     threads
-        Number of threads; all cores by default.
+        Number of threads; by default one for each core that the process may use.
 
     Raises
     ------
@@ -72,4 +85,90 @@ def run_experiment(
     ConvergenceError
         If the full compression is not reached; the message says how far it came.
     """
-    raise NotImplementedError
+    if threads is not None and threads < 1:
+        raise InputError(f"threads must be at least 1, not {threads!r}")
+    _check(scene)
+    newton = 0
+
+    def report(level: Assembly, load: float, _: object) -> None:
+        nonlocal newton
+        newton += 1
+        if progress:
+            progress(Progress(f"{level.n_elements:,} elements", load, newton))
+
+    if progress:
+        progress(Progress("preparing", 0.0, 0, "the first run compiles for up to a minute"))
+    levels = [build(scene, relief=relief, stiffness=stiffness)]
+    while levels[0].n_elements > _COARSEST:
+        factor = 2.0 ** len(levels)
+        if not _coarser(scene, factor):
+            break
+        levels.insert(0, build(scene, coarsening=factor, relief=relief, stiffness=stiffness))
+    try:
+        with limited_threads(threads):
+            path = solve(levels, report)
+    except LoadNotReached as failure:
+        raise ConvergenceError(
+            f"the sample was compressed to {100 * failure.load:.1f} % of "
+            f"{scene.compression:g} mm only: {failure.reason}. Try less compression, a flatter "
+            "relief, smaller elements or less contrast of stiffness"
+        ) from None
+    assembly, state = levels[-1], path.state
+
+    x, y = (
+        node_positions(size, scene.pixel_spacing or 0.5 * scene.mesh.element_size)
+        for size in scene.layer.size
+    )
+    maps = observed_maps(assembly, state, x, y)
+    loaded = thickness_map(
+        maps["loaded_thickness"].values, x=x, y=y, where=scene.title or "virtual experiment"
+    )
+    maps["loaded_thickness"].attrs |= loaded.attrs
+    maps["algebraic_axial_stress"] = algebraic_stress(
+        maps["loaded_thickness"], scene.layer.thickness, scene.layer.material
+    )
+    window, interface, plate = (float(force.sum()) for force in state.forces)
+    maps.attrs = {
+        "method": "virtual experiment",
+        "c10_kPa": scene.layer.c10,
+        "c01_kPa": scene.layer.c01,
+        "bulk_to_shear": scene.layer.bulk_to_shear,
+        "window_friction": scene.friction.window,
+        "sample_friction": scene.friction.sample,
+        "initial_thickness_mm": scene.layer.thickness,
+        "window_force_mN": window,
+        "sample_force_mN": interface,
+        "plate_force_mN": plate,
+        "force_balance": (max(window, interface, plate) - min(window, interface, plate)) / window,
+        "elements": [body.grid.n_elements for body in assembly.bodies],
+        "newton_iterations": sum(entry[2] for entry in path.record),
+        "convergence": json.dumps(
+            [
+                {"elements": elements, "load": round(load, 4), "newton": count}
+                for elements, load, count in path.record
+            ]
+        ),
+        "scene": scene.model_dump_json(),
+    }
+    return ExperimentResult(
+        maps, body_dataset(assembly, state, LAYER), body_dataset(assembly, state, SAMPLE), scene
+    )
+
+
+def _check(scene: Scene) -> None:
+    """Raise for materials that are none, and for compressions beyond anything sensible."""
+    layer, sample = scene.layer.material, scene.sample.material
+    stack = scene.layer.thickness + scene.sample.thickness
+    if scene.compression > 0.5 * stack:
+        raise InputError(
+            f"compression: {scene.compression:g} mm is more than half of layer and sample "
+            f"together, {stack:g} mm"
+        )
+    if not 1e-4 < layer.shear_modulus / sample.shear_modulus < 1e4:
+        raise InputError("sample: stiffer or softer than the layer by more than a factor of 10000")
+
+
+def _coarser(scene: Scene, factor: float) -> bool:
+    """Whether elements ``factor`` times as large can still be used."""
+    smallest = min(*scene.layer.size, *scene.sample.size)
+    return factor * scene.mesh.element_size <= smallest / 8
