@@ -1,0 +1,168 @@
+"""What a loaded assembly shows: thickness as OCT would see it, and the true stress."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial import cKDTree
+
+from optical_palpation.experiment.contact import friction_memory, touching
+from optical_palpation.experiment.equilibrium import (
+    INTERFACE,
+    LAYER,
+    PLATE,
+    SAMPLE,
+    WINDOW,
+    Assembly,
+    State,
+)
+from optical_palpation.mechanics.contact import area_vectors
+from optical_palpation.mechanics.grid import LayerGrid
+from optical_palpation.palpation.computational import SLIP_SHARE, _surface_axial_stress
+from optical_palpation.palpation.result import ContactState
+
+Array = NDArray[np.float64]
+_FLAGS = {
+    "flag_values": [int(s) for s in ContactState],
+    "flag_meanings": " ".join(s.name.lower() for s in ContactState),
+}
+_STRESSES = {
+    "axial_stress": "true axial Cauchy stress at the sample, tension positive",
+    "contact_pressure": "true contact pressure of the sample on the layer",
+    "traction_x": "x component of the true traction of the sample on the layer",
+    "traction_y": "y component of the true traction of the sample on the layer",
+    "traction_z": "z component of the true traction of the sample on the layer",
+}
+
+
+def observed_maps(assembly: Assembly, state: State, x: Array, y: Array) -> xr.Dataset:
+    """Maps at laboratory points ``x``, ``y``, mm; NaN where there is no layer."""
+    body = assembly.bodies[LAYER]
+    grid = body.grid
+    u = assembly.split(state.u)[LAYER]
+    position = body.nodes + u
+    force = body.forces(u, state.p[LAYER]).force[:, -1]
+    surface = position[:, -1]
+    area = area_vectors(surface)
+    pressure = np.maximum(-force[2] / area[2], 0.0)
+    fields = {
+        "contact_pressure": pressure,
+        "axial_stress": _surface_axial_stress(
+            body.stress(u, state.p[LAYER]), area / np.linalg.norm(area, axis=0), pressure
+        ),
+        **{f"traction_{c}": force[n] / grid.surface_areas(surface) for n, c in enumerate("xyz")},
+    }
+    target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
+    at_sample, outside = _material_points(grid, surface, target)
+    at_window, beyond = _material_points(grid, position[:, 0], target)
+    maps = xr.Dataset(
+        coords={
+            "y": ("y", y, {"units": "mm", "long_name": "lateral position y"}),
+            "x": ("x", x, {"units": "mm", "long_name": "lateral position x"}),
+        }
+    )
+    thickness = _smooth(grid, surface[2], at_sample) - _smooth(grid, position[2, 0], at_window)
+    thickness[outside | beyond] = np.nan
+    millimetres = {"units": "mm"}
+    unloaded = np.full(thickness.shape, float(grid.thickness.mean()))
+    for name, values in (("unloaded_thickness", unloaded), ("loaded_thickness", thickness)):
+        text = name.replace("_", " ") + " of the layer"
+        maps[name] = (("y", "x"), values, {**millimetres, "long_name": text})
+    for name, text in _STRESSES.items():
+        values = RegularGridInterpolator((grid.y, grid.x), fields[name])(at_sample)
+        values[outside] = np.nan
+        maps[name] = (("y", "x"), values, {"units": "kPa", "long_name": text})
+    for name, contact in (("contact_state", INTERFACE), ("window_contact_state", WINDOW)):
+        slaves = assembly.contacts[contact].slaves.ravel()
+        lateral = assembly.position(state.u)[slaves, :2]
+        distance, nearest = cKDTree(lateral[:, ::-1]).query(target)
+        values = contact_states(assembly, state, contact)[nearest]
+        reach = np.sqrt(assembly.areas[contact])[nearest]
+        values = np.where(distance < reach, values, ContactState.OPEN).astype(np.int8)
+        maps[name] = (("y", "x"), values, {"long_name": name.replace("_", " "), **_FLAGS})
+    return maps
+
+
+def contact_states(assembly: Assembly, state: State, contact: int) -> NDArray[np.int8]:
+    """State of each slave of a contact, a :class:`ContactState`."""
+    position = assembly.position(state.u)
+    own = state.contacts[contact]
+    meeting = assembly.meet(position, state.load)[contact]
+    w = friction_memory(own, position, assembly.slip_length)
+    share = np.sqrt((w**2).sum(1) / (1 + (w**2).sum(1)))
+    if assembly.contacts[contact].friction == 0:
+        share[:] = 1.0
+    states = np.where(share < SLIP_SHARE, ContactState.STICK, ContactState.SLIP)
+    closed = touching(meeting, own, assembly.scales[contact])
+    return np.where(closed, states, ContactState.OPEN).astype(np.int8)
+
+
+def body_dataset(assembly: Assembly, state: State, which: int) -> xr.Dataset:
+    """The deformed layer or sample, in the form of ``StressResult.layer``.
+
+    Of the sample, ``window_...`` is its face towards the window, ``sample_...`` that at the plate.
+    """
+    body = assembly.bodies[which]
+    u, p = assembly.split(state.u)[which], state.p[which]
+    position = body.nodes + u
+    force = body.forces(u, p).force
+    own = {LAYER: (WINDOW, INTERFACE), SAMPLE: (INTERFACE, PLATE)}[which]
+
+    def variable(dims: str, data: Array, units: str, name: str) -> tuple:
+        return dims.split(), data, {"units": units, "long_name": name}
+
+    cells = "cell_z cell_y cell_x"
+    variables = {
+        "position": variable(
+            "z y x component", np.moveaxis(position, 0, -1), "mm", "deformed node position"
+        ),
+        "displacement": variable(
+            "z y x component", np.moveaxis(u, 0, -1), "mm", "node displacement"
+        ),
+        "cauchy_stress": variable(
+            f"{cells} tensor", np.moveaxis(body.stress(u, p), 0, -1), "kPa", "Cauchy stress"
+        ),
+        "stiffness": variable(cells, body.stiffness, "1", "stiffness over that of the law"),
+    }
+    for face, k, contact in (("window", 0, own[0]), ("sample", -1, own[1])):
+        traction = force[:, k] / body.grid.surface_areas(position[:, k])
+        variables[f"{face}_traction"] = variable(
+            "y x component", np.moveaxis(traction, 0, -1), "kPa", f"traction, {face} side"
+        )
+        if assembly.slave_grids[contact] is body.grid:
+            states = contact_states(assembly, state, contact).reshape(traction.shape[1:])
+        else:
+            pressed = np.abs(traction[2]) > 2e-3 * assembly.shear_modulus
+            states = np.where(pressed, ContactState.SLIP, ContactState.OPEN).astype(np.int8)
+        variables[f"{face}_contact_state"] = (("y", "x"), states, _FLAGS)
+    return xr.Dataset(
+        variables,
+        {
+            "x": variable("x", body.grid.x, "mm", "reference position x"),
+            "y": variable("y", body.grid.y, "mm", "reference position y"),
+            "z": variable("z", body.grid.depth, "1", "reference depth over unloaded thickness"),
+            "component": ["x", "y", "z"],
+            "tensor": ["xx", "yy", "zz", "yz", "xz", "xy"],
+        },
+    )
+
+
+def _material_points(
+    grid: LayerGrid, surface: Array, target: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Reference (y, x) of the points of a surface at laboratory (y, x), and which miss it."""
+    moved = np.stack([surface[1] - grid.y[:, None], surface[0] - grid.x], axis=-1)
+    shift = RegularGridInterpolator((grid.y, grid.x), moved)
+    lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
+    reference = target.copy()
+    for _ in range(60):
+        reference = target - shift(np.clip(reference, lower, upper))
+    tolerance = 1e-6 * (upper - lower)
+    outside = ((reference < lower - tolerance) | (reference > upper + tolerance)).any(-1)
+    return np.clip(reference, lower, upper), outside
+
+
+def _smooth(grid: LayerGrid, values: Array, points: Array) -> Array:
+    return RegularGridInterpolator((grid.y, grid.x), values, method="cubic")(points)
