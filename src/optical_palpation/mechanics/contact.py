@@ -17,7 +17,11 @@ from one load to the next. The lateral equations of a surface node are
     f_x + (a_x - mu s_x) f_z = 0 (imprint),    f_x + mu s_x f_z = 0 (window),
 
 in which the vertical internal force f_z = -+N carries both the slope and the friction bound, so
-that friction is linearised exactly together with the pressure that bounds it.
+that friction is linearised exactly together with the pressure that bounds it. Where a node turns
+round, w crosses the whole range in which the law is nearly constant and Newton's method on s(w)
+swings between its ends. So s is an unknown of its own, as N is, and what is linearised is
+s sqrt(1 + |w|^2) = w (the primal-dual method of Chan, Golub and Mulet for the same law in image
+restoration): the stiffness is (I - s w^T / sqrt(1 + |w|^2)) / sqrt(1 + |w|^2), symmetric part.
 
 The slope a = -(A_x, A_y) / A_z along which the contact force acts is that of the deformed element
 faces, with A the area vector of the node (the gradient of the layer's volume), not that of the
@@ -47,8 +51,9 @@ _MEMORY = 10.0
 #: A contact spring stiffer than this many times its scale c is a prescribed displacement.
 _RIGID = 1e3
 #: Penalty of the sides, in shear moduli per element height, and its smoothing, in shear moduli: a
-#: contact pressure of one shear modulus leaves a penetration of 10 % of an element.
-_SIDE_PENALTY, _SIDE_SMOOTHING = 10.0, 2e-2
+#: contact pressure of one shear modulus leaves a penetration of 10 % of an element, and contact
+#: begins at a gap of 1 %.
+_SIDE_PENALTY, _SIDE_SMOOTHING = 10.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -97,12 +102,35 @@ def complementarity_scale(problem: LayerProblem) -> Array:
     return areas * problem.shear_modulus / grid.spacing()[0]
 
 
+def slip_coordinate(problem: LayerProblem, state: LayerState) -> Array:
+    """The slip w of both faces in slip lengths, memory included, (2, 2, ny + 1, nx + 1)."""
+    lateral = np.stack([state.u[:2, 0], state.u[:2, -1]])
+    return state.slip + (lateral - state.anchor) / problem.slip_length
+
+
+def friction_direction(w: Array) -> Array:
+    """Friction as a share of its bound, s = w / sqrt(1 + |w|^2), (2, 2, ny + 1, nx + 1)."""
+    return w / np.sqrt(1 + (w**2).sum(1, keepdims=True))
+
+
+def direction_step(w: Array, direction: Array, dw: Array) -> Array:
+    """Newton step of the ``direction`` s from its linearised law, for a step ``dw`` of the slip."""
+    q = np.sqrt(1 + (w**2).sum(1, keepdims=True))
+    along = direction * (w * dw).sum(1, keepdims=True) + w * (direction * dw).sum(1, keepdims=True)
+    return (w + dw - 0.5 * along / q) / q - direction
+
+
 def linearise(
-    problem: LayerProblem, state: LayerState, force: Array, smoothing: float
+    problem: LayerProblem,
+    state: LayerState,
+    force: Array,
+    smoothing: float,
+    direction: Array | None = None,
 ) -> ContactLinearisation:
     """Linearise contact and friction at ``state`` with the internal nodal ``force``.
 
-    ``smoothing`` is eps as a pressure in units of the shear modulus.
+    ``smoothing`` is eps as a pressure in units of the shear modulus; ``direction`` the unknown s,
+    by default the one that belongs to the slip.
     """
     nodes = problem.grid.nodes
     bottom = nodes[:, 0] + state.u[:, 0]
@@ -128,8 +156,7 @@ def linearise(
     load = np.where(rigid, 0.0, sign * (violation / other - normal))
     step = np.where(rigid, sign * violation / (slope * c), 0.0)
 
-    lateral = np.stack([state.u[:2, 0], state.u[:2, -1]])
-    w = state.slip + (lateral - state.anchor) / problem.slip_length
+    w = slip_coordinate(problem, state)
     q = np.sqrt(1 + (w**2).sum(1))
     s = w / q[:, None]
     friction = np.asarray(problem.friction)[:, None, None]
@@ -142,8 +169,10 @@ def linearise(
     column[SAMPLE] = hx, hy
 
     stiff = friction * np.maximum(reaction, normal) / problem.slip_length / q
+    d = s if direction is None else direction
+    mixed = -0.5 * (s[:, 0] * d[:, 1] + s[:, 1] * d[:, 0])
     block = np.stack(
-        [stiff * (1 - s[:, 0] ** 2), -stiff * s[:, 0] * s[:, 1], stiff * (1 - s[:, 1] ** 2)], axis=1
+        [stiff * (1 - s[:, 0] * d[:, 0]), stiff * mixed, stiff * (1 - s[:, 1] * d[:, 1])], axis=1
     )
     turning = np.zeros((*h.shape, 9, 2, 3))
     _turning_stiffness(top, np.maximum(normal[SAMPLE], 0.0) / area[2], face_slope, turning)
@@ -173,9 +202,9 @@ def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     unit = problem.shear_modulus * 0.5 * (dx + dy)  # shear modulus x area of a node / dz
     c, eps = _SIDE_PENALTY * unit, _SIDE_SMOOTHING * unit * dz
     t = c * np.stack([-z, z - h])
-    root = np.sqrt(t**2 + 4 * eps**2)
-    normal = np.where(t > 0, 0.5 * (t + root), 2 * eps**2 / (root - t))
-    slope = c * np.where(t > 0, 0.5 * (1 + t / root), 2 * eps**2 / (root * (root - t)))
+    near = np.clip(t + eps, 0.0, 2 * eps)
+    normal = near**2 / (4 * eps) + np.maximum(t - eps, 0.0)
+    slope = c * near / (2 * eps)
     flat, one = np.zeros_like(x), np.ones_like(x)
     # gradients of the penetrations
     gradient = np.array([[flat, flat, -one], [-hx, -hy, one]])
@@ -255,17 +284,14 @@ def _turning_stiffness(surface, pressure, slope, out):
 
 def remember_slip(problem: LayerProblem, state: LayerState) -> None:
     """Carry the friction state to the next load (in place)."""
-    lateral = np.stack([state.u[:2, 0], state.u[:2, -1]])
-    w = state.slip + (lateral - state.anchor) / problem.slip_length
+    w = slip_coordinate(problem, state)
     size = np.sqrt((w**2).sum(1, keepdims=True))
     w *= np.minimum(1.0, _MEMORY / np.maximum(size, 1e-300))
     state.slip = np.where(state.touching(problem)[:, None], w, 0.0)
-    state.anchor = lateral
+    state.anchor = np.stack([state.u[:2, 0], state.u[:2, -1]])
 
 
 def friction_fraction(problem: LayerProblem, state: LayerState) -> Array:
     """Share of the friction bound in use at each node, (2, ny + 1, nx + 1); 1 without friction."""
-    lateral = np.stack([state.u[:2, 0], state.u[:2, -1]])
-    w2 = ((state.slip + (lateral - state.anchor) / problem.slip_length) ** 2).sum(1)
-    used = np.sqrt(w2 / (1 + w2))
+    used = np.sqrt((friction_direction(slip_coordinate(problem, state)) ** 2).sum(1))
     return np.where(np.asarray(problem.friction)[:, None, None] > 0, used, 1.0)

@@ -130,7 +130,7 @@ def node_positions(
     They are uniform, but for ``edge``: the width of the two outermost elements, from which the
     widths double inwards until they reach ``size``.
     """
-    widths = []
+    widths: list[float] = []
     while edge is not None and edge * 2 ** len(widths) < 0.75 * size:
         widths.append(edge * 2 ** len(widths))
     inner = length - 2 * sum(widths)

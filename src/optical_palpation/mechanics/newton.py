@@ -9,7 +9,13 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .contact import ContactLinearisation, linearise
+from .contact import (
+    ContactLinearisation,
+    direction_step,
+    friction_direction,
+    linearise,
+    slip_coordinate,
+)
 from .elements import GRADIENTS, internal_force
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .system import NewtonSystem, assemble
@@ -54,7 +60,7 @@ class Tolerances:
 
 
 #: Smoothing of contact, as a pressure in units of the shear modulus: at first, and in the end.
-_SMOOTHING = (3e-2, 1e-3)
+_SMOOTHING = (3e-3, 1e-3)
 
 
 @dataclass
@@ -79,8 +85,13 @@ class NotConverged(Exception):
     """Newton's method failed at this load; carries the reason."""
 
 
-def balance(problem: LayerProblem, state: LayerState, smoothing: float = _SMOOTHING[1]) -> Balance:
-    """Evaluate equilibrium, incompressibility and contact at a state."""
+def balance(
+    problem: LayerProblem,
+    state: LayerState,
+    smoothing: float = _SMOOTHING[1],
+    direction: Array | None = None,
+) -> Balance:
+    """Evaluate equilibrium, incompressibility and contact at a state (see ``linearise``)."""
     grid = problem.grid
     force = np.empty(state.u.shape)
     volume, volume_ref = np.empty(grid.shape), np.empty(grid.shape)
@@ -97,7 +108,7 @@ def balance(problem: LayerProblem, state: LayerState, smoothing: float = _SMOOTH
         volume_ref,
         jacobian,
     )
-    contact = linearise(problem, state, force, smoothing)
+    contact = linearise(problem, state, force, smoothing, direction)
     out = force.copy()
     for face, k, sign in ((WINDOW, 0, -1.0), (SAMPLE, -1, 1.0)):
         out[:2, k] += contact.row[face] * force[2, k]
@@ -143,7 +154,8 @@ def equilibrate(
         When the iterations run out, an element turns inside out or numbers overflow.
     """
     smoothing = _SMOOTHING[0]
-    now = balance(problem, state, smoothing)
+    direction = friction_direction(state.slip)
+    now = balance(problem, state, smoothing, direction)
     krylov = 0
     storage = None
     for iteration in range(tolerances.iterations):
@@ -173,26 +185,30 @@ def equilibrate(
             raise NotConverged("the linear system could not be solved")
         step = system.to_cartesian(du)
         change = system.contact_forces(now.force, du, dp) - state.normal_force
+        slip_step = np.stack([step[:2, 0], step[:2, -1]]) / problem.slip_length
+        turn = direction_step(slip_coordinate(problem, state), direction, slip_step)
         trial = state.copy()
         best = None
         for fraction in (1.0, 0.5, 0.25, 0.125):
             trial.u = state.u + fraction * step
             trial.p = state.p + fraction * dp
             trial.normal_force = state.normal_force + fraction * change
-            after = balance(problem, trial, smoothing)
+            turned = direction + fraction * turn
+            turned /= np.maximum(1.0, np.sqrt((turned**2).sum(1, keepdims=True)))
+            after = balance(problem, trial, smoothing, turned)
             if after.min_jacobian < 0.02 or not np.isfinite(after.force_error):
                 continue
             if best is None or after.force_error < best[0].force_error:
-                best = after, trial.u, trial.p, trial.normal_force
+                best = after, turned, trial.u, trial.p, trial.normal_force
             # the first step crosses the new load: it may leave more out of balance than it found
             if iteration == 0 or after.force_error < (1 - 0.3 * fraction) * now.force_error:
                 break
         if best is None:
             raise NotConverged("an element turned inside out")
-        now, state.u, state.p, state.normal_force = best
+        now, direction, state.u, state.p, state.normal_force = best
         if now.force_error < 0.3 * smoothing and smoothing > _SMOOTHING[1]:
             smoothing = max(_SMOOTHING[1], 0.2 * smoothing)
-            now = balance(problem, state, smoothing)
+            now = balance(problem, state, smoothing, direction)
     if (
         smoothing == _SMOOTHING[1]
         and now.force_error < tolerances.acceptable * tolerances.force

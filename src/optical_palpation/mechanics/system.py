@@ -130,10 +130,8 @@ def assemble(
         stencil[k, :, 13, 8] += contact.spring[face]
     sides = grid.side_nodes
     if problem.edges == "free":
-        k, j, i = sides
-        for c in range(3):
-            for d in range(3):
-                stencil[k, j, 13, 3 * c + d, i] += contact.sides.stiffness[c, d]
+        for c, d in np.ndindex(3, 3):
+            stencil[*sides[:2], 13, 3 * c + d, sides[2]] += contact.sides.stiffness[c, d]
     system = NewtonSystem(
         stencil=stencil,
         divergence=divergence,
