@@ -153,7 +153,9 @@ def _open(folder: Path, study: str) -> dict[str, Any]:
         visible = [path.name for path in folder.iterdir() if not path.name.startswith(".")]
     except OSError as error:
         reason = error.strerror or error
-        raise OutputError(f"{folder}: the result folder cannot be made ({reason})") from error
+        raise OutputError(
+            f"{folder}: the result folder cannot be made ({reason}); choose another in [outputs]"
+        ) from error
     if not visible:
         return {}
     try:

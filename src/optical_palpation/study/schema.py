@@ -90,7 +90,7 @@ class NumberInput(Table):
 
 def kind_of_input(given: Any) -> str:
     """Tell the kind of an input by its key; of none or several, the kind that says so best."""
-    keys = given if isinstance(given, Mapping) else {}
+    keys = given if isinstance(given, Mapping) else vars(given) if isinstance(given, Table) else {}
     return next((kind for kind in ("volume", "map", "thickness") if kind in keys), "volume")
 
 

@@ -6,6 +6,7 @@ is therefore the same to the last bit.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -133,7 +134,7 @@ class Stages:
             study.loaded, path.with_name("boundaries-loaded.nc"), extent
         )
         cleaned = clean_thickness(loaded)
-        attrs = dict(cleaned.attrs)
+        attrs = cleaned.attrs | {"boundaries": self._found(path.parent)}
         here = {"y": loaded["y"], "x": loaded["x"]}
         if isinstance(study.unloaded, NumberInput):
             initial: Any = study.unloaded.thickness
@@ -164,6 +165,14 @@ class Stages:
         if quality is not None:
             result["quality"] = quality.where(~cleaned["filled"].values, 0.0)
         write_thickness_map(result, path)
+
+    def _found(self, folder: Path) -> str:
+        """How the boundaries were found, as JSON."""
+        how = {}
+        for side in by_side(self.study):
+            found = xr.load_dataset(folder / f"boundaries-{side}.nc", engine="h5netcdf")
+            how[side] = {key: json.loads(found.attrs[key]) for key in ("volume", "parameters")}
+        return json.dumps(how)
 
     def _stress_of(self, thickness: xr.Dataset, result: StressResult) -> StressResult:
         """Let what is known about the thickness go with the stress."""
