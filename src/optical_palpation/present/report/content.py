@@ -132,7 +132,8 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
         if (key := f"{side}_force_mN") in attrs
     ]
     if "force_balance" in attrs:
-        rows.append(("Difference of the two", f"{100 * attrs['force_balance']:.2g} %"))
+        off = 100 * attrs["force_balance"]
+        rows.append(("Difference of the two", f"{off:.2g} %" if off > 1e-3 else "below 0.001 %"))
     for method, stress in methods(result).items():
         force = -float(stress.fillna(0.0).integrate(["y", "x"]))
         rows.append((f"Integral of the {method} map", f"{_number(force)} mN"))
