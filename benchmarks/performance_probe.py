@@ -27,7 +27,8 @@ PHASES = {
         ("imprint", "Imprint.evaluate"),
     ],
     "smoother": [("multigrid", "Level.smooth")],
-    "coarse grids": [("multigrid", "Hierarchy.update"), ("multigrid", "Hierarchy.cycle")],
+    "coarse operators": [("multigrid", "Hierarchy.update")],
+    "transfers": [("multigrid", "Hierarchy.cycle")],
     "Krylov": [("krylov", "MultigridSolver.solve")],
     "direct": [("direct", "DirectSolver.solve")],
 }
