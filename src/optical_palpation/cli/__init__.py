@@ -14,8 +14,10 @@ from typing import Annotated
 import typer
 
 from optical_palpation.cli.demo import demo
+from optical_palpation.cli.experiment import experiment
 from optical_palpation.cli.friction import friction
 from optical_palpation.cli.material import material
+from optical_palpation.cli.reproduce import reproduce
 from optical_palpation.cli.stress import StressCommand, stress
 from optical_palpation.cli.study import new, run
 from optical_palpation.cli.thickness import thickness
@@ -36,7 +38,9 @@ app.command()(run)
 app.command()(thickness)
 app.command()(friction)
 app.command()(material)
+app.command()(experiment)
 app.command()(uncertainty)
+app.command()(reproduce)
 
 
 def _print_version(wanted: bool) -> None:

@@ -207,8 +207,8 @@ class Scene(_Part):
     """A virtual experiment (section 6 of the paper).
 
     ``compression``: how far, in mm, the plate moves towards the window after the highest point of
-    the sample has touched the layer. ``pixel_spacing``: that of the maps, mm; by default half the
-    size of the elements.
+    the sample has touched the layer. ``pixel_spacing``: that of the maps, mm; by default a fifth of
+    the elements.
     """
 
     title: str = ""
@@ -260,6 +260,22 @@ def read_scene(name: str | Path) -> Scene:
     except ValidationError as error:
         raise InputError(f"{name}: {_reasons(error)}") from None
     return _located(scene, path.parent)
+
+
+def with_element_size(scene: Scene, element_size: float) -> Scene:
+    """Return the scene on other elements, mm; those at the edges in proportion.
+
+    Raises
+    ------
+    InputError
+        If the size is not positive.
+    """
+    if not (np.isfinite(element_size) and element_size > 0):
+        raise InputError(f"element_size must be a positive number in mm, not {element_size!r}")
+    mesh = scene.mesh
+    edge = mesh.edge_size and mesh.edge_size * element_size / mesh.element_size
+    update = {"element_size": element_size, "edge_size": edge}
+    return scene.model_copy(update={"mesh": mesh.model_copy(update=update)})
 
 
 def _reasons(error: ValidationError) -> str:

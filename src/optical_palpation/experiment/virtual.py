@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import xarray as xr
@@ -104,6 +105,8 @@ def run_experiment(
         if not _coarser(scene, factor):
             break
         levels.insert(0, build(scene, coarsening=factor, relief=relief, stiffness=stiffness))
+    with suppress(ImportError):
+        import pypardiso  # noqa: F401  # loaded first, so that it is held to the threads too
     try:
         with limited_threads(threads):
             path = solve(levels, report)
@@ -116,7 +119,7 @@ def run_experiment(
     assembly, state = levels[-1], path.state
 
     x, y = (
-        node_positions(size, scene.pixel_spacing or 0.5 * scene.mesh.element_size)
+        node_positions(size, scene.pixel_spacing or 0.2 * scene.mesh.element_size)
         for size in scene.layer.size
     )
     maps = observed_maps(assembly, state, x, y)

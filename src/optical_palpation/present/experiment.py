@@ -1,0 +1,149 @@
+"""Virtual experiments out: NetCDF, ParaView files and a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.experiment.virtual import ExperimentResult
+from optical_palpation.palpation.result import StressResult
+from optical_palpation.present.netcdf import _NODE_AXES, _compression, _described
+from optical_palpation.present.output import atomic, provenance
+from optical_palpation.present.profiles import centre_profiles
+from optical_palpation.present.vtk import write_vtk
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_COLOURS = {"true": "black", "algebraic": "#D55E00", "computational": "#0072B2"}
+
+
+def write_experiment(result: ExperimentResult, path: str | Path) -> None:
+    """Write a virtual experiment as NetCDF-4.
+
+    Maps at the root, the deformed bodies in the groups ``layer`` and ``sample`` (single precision,
+    axes ``node_z``, ``node_y``, ``node_x``). The maps can be read like those of any result and the
+    loaded thickness like any thickness map.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    maps = _described(result.maps)
+    maps.attrs = {"Conventions": "CF-1.11", **provenance(result.maps)}
+    groups, encoding = {"/": maps}, {"/": _compression(maps)}
+    for name, body in (("/layer", result.layer), ("/sample", result.sample)):
+        body = _described(body)
+        groups[name] = body.rename({a: b for a, b in _NODE_AXES.items() if a in body.dims})
+        encoding[name] = _compression(body, dtype=np.float32)
+    content = xr.DataTree.from_dict(groups).to_netcdf(engine="h5netcdf", encoding=encoding)
+    with atomic(path, "result") as temporary:
+        temporary.write_bytes(content)
+
+
+def write_bodies(result: ExperimentResult, layer: str | Path, sample: str | Path) -> None:
+    """Write the two deformed bodies as ``.vts`` files for ParaView.
+
+    Raises
+    ------
+    OutputError
+        A file cannot be written.
+    """
+    for body, path in ((result.layer, layer), (result.sample, sample)):
+        write_vtk(StressResult(result.maps, body), path)
+
+
+def write_experiment_figure(
+    result: ExperimentResult, path: str | Path, recovered: StressResult | None = None
+) -> None:
+    """Draw a virtual experiment (PNG, PDF or SVG by the name's ending).
+
+    A section through the loaded assembly along x, the loaded thickness, the true axial stress, and
+    its profiles through the centre beside those of the algebraic and, if ``recovered`` is given,
+    of the computational method (figures 3b and 3d of the paper).
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13.5, 8.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplot_mosaic([list("SSSTTAA"), list("XXXXYYY")])
+    _draw_section(figure, axes["S"], result)
+    maps = result.maps
+    low, high = np.nanpercentile(maps["axial_stress"].values, [1, 99])
+    for name, field, title, colours in (
+        ("T", "loaded_thickness", "Loaded thickness (mm)", {"cmap": "cividis"}),
+        (
+            "A",
+            "axial_stress",
+            "True axial stress (kPa)",
+            {"cmap": "viridis_r", "vmin": low, "vmax": high},
+        ),
+    ):
+        mesh = axes[name].pcolormesh(
+            maps["x"], maps["y"], maps[field], shading="nearest", rasterized=True, **colours
+        )
+        axes[name].set(title=title, xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
+        figure.colorbar(mesh, ax=axes[name], shrink=0.7)
+    source = result.maps if recovered is None else recovered.maps
+    along: dict[str, Any] = {"true": (maps, "axial_stress")}
+    along["algebraic"] = (source, "algebraic_axial_stress")
+    if recovered is not None:
+        along["computational"] = (source, "axial_stress")
+    for n, axis in enumerate("xy"):
+        panel = axes[axis.upper()]
+        for label, (dataset, name) in along.items():
+            profile = centre_profiles(dataset)[n]
+            panel.plot(profile[axis], profile[name], color=_COLOURS[label], lw=1.4, label=label)
+        panel.set(title=f"Through the centre along {axis}", xlabel=f"{axis} (mm)")
+        panel.grid(alpha=0.3)
+    axes["Y"].sharey(axes["X"])
+    axes["X"].set_ylabel("axial stress (kPa)")
+    axes["X"].legend(frameon=False, ncols=3)
+    title = result.scene.title or "Virtual experiment"
+    figure.suptitle(f"{title}: window force {maps.attrs['window_force_mN']:.1f} mN")
+    about = "; ".join(f"{key} {value}" for key, value in provenance(result.maps).items())
+    with atomic(path, "picture") as temporary:
+        kind = temporary.suffix.lower()
+        key = {".png": "Description", ".pdf": "Subject", ".svg": "Description"}[kind]
+        figure.savefig(temporary, dpi=150, metadata={key: about})
+
+
+def _draw_section(figure: Figure, axes: Axes, result: ExperimentResult) -> None:
+    """Draw the section along x through the centre, coloured by axial stress."""
+    section, values = [], []
+    for body in (result.layer, result.sample):
+        position = body["position"].transpose("z", "y", "x", "component").values
+        stress = body["cauchy_stress"].sel(tensor="zz").transpose("cell_z", "cell_y", "cell_x")
+        middle = position.shape[1] // 2
+        section.append(position[:, middle])
+        values.append(stress.values[:, min(middle, stress.shape[1] - 1)])
+    low, high = np.percentile(np.concatenate([v.ravel() for v in values]), [1, 99])
+    mesh = None
+    for nodes, stress in zip(section, values, strict=True):
+        mesh = axes.pcolormesh(
+            nodes[..., 0],
+            nodes[..., 2],
+            stress,
+            cmap="viridis_r",
+            vmin=low,
+            vmax=high,
+            edgecolors="white",
+            linewidth=0.1,
+            rasterized=True,
+        )
+    axes.plot(section[1][0, :, 0], section[1][0, :, 2], color="black", lw=0.8)
+    axes.invert_yaxis()
+    axes.set(title="Loaded layer and sample, axial stress (kPa)", xlabel="x (mm)", ylabel="z (mm)")
+    axes.set_aspect("equal")
+    figure.colorbar(mesh, ax=axes, shrink=0.7)
