@@ -1,6 +1,7 @@
 """Writers against readers that share nothing with them: h5py, xarray, ElementTree, csv, PIL."""
 
 import base64
+import contextlib
 import csv
 import json
 import os
@@ -13,7 +14,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optical_palpation.errors import InputError, OutputError
@@ -149,6 +150,23 @@ def test_what_is_no_result_is_refused(tmp_path, content):
     elif content:
         xr.Dataset({"other": 1}).to_netcdf(path, engine="h5netcdf")
     with pytest.raises(InputError, match=r"in\.nc"):
+        read_result(path)
+
+
+@given(data=st.data())
+@settings(max_examples=10)
+def test_damaged_result_is_refused(tmp_path, data):
+    """Cut anywhere, or with a byte changed: refused, or read as far as the change goes unseen."""
+    path = tmp_path / "in.nc"
+    write_result(example(), path)
+    content = bytearray(path.read_bytes())
+    at = data.draw(st.integers(0, len(content) - 1))
+    path.write_bytes(content[:at])
+    with pytest.raises(InputError, match=r"in\.nc"):
+        read_result(path)
+    content[at] ^= 1 << data.draw(st.integers(0, 7))
+    path.write_bytes(content)
+    with contextlib.suppress(InputError):
         read_result(path)
 
 

@@ -11,6 +11,7 @@ import xarray as xr
 from optical_palpation.errors import InputError
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic, provenance
+from optical_palpation.volume import hdf5
 
 _MM = {"units": "mm"}
 _KPA = {"units": "kPa"}
@@ -74,26 +75,28 @@ def read_result(path: str | Path) -> StressResult:
     Raises
     ------
     InputError
-        The file is missing, is no NetCDF-4 file, or holds no stress result.
+        The file is missing, damaged or no NetCDF-4 file, or holds no stress result.
     """
-    import h5py
-
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    if not h5py.is_hdf5(path):
-        raise InputError(f"{path}: is not a NetCDF-4 file")
-    maps = xr.load_dataset(path, engine="h5netcdf", decode_times=False)
+    try:
+        with hdf5.open_file(path) as file:  # refuses what is no NetCDF-4 file, or damaged
+            has_layer = "layer" in file
+        maps = xr.load_dataset(path, engine="h5netcdf", decode_times=False)
+        layer = None
+        if has_layer:
+            layer = xr.load_dataset(path, engine="h5netcdf", group="layer", decode_times=False)
+    except InputError:
+        raise
+    except Exception as error:  # whatever the libraries make of damaged data
+        raise InputError(f"{path}: is a damaged result ({error})") from error
     if "axial_stress" not in maps:
         found = ", ".join(map(str, maps.data_vars)) or "nothing"
         raise InputError(f"{path}: holds no stress result (no variable axial_stress, but {found})")
-    with h5py.File(path) as file:
-        has_layer = "layer" in file
-    if not has_layer:
-        return StressResult(maps)
-    layer = xr.load_dataset(path, engine="h5netcdf", group="layer", decode_times=False)
-    names = {b: a for a, b in _NODE_AXES.items() if b in layer.dims}
-    return StressResult(maps, layer.rename(names))
+    if layer is not None:
+        layer = layer.rename({b: a for a, b in _NODE_AXES.items() if b in layer.dims})
+    return StressResult(maps, layer)
 
 
 def _described(dataset: xr.Dataset) -> xr.Dataset:
