@@ -1,0 +1,56 @@
+"""``optical-palpation reproduce``: the validation page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from optical_palpation.cli.progress import ProgressDisplay
+
+
+def reproduce(
+    output: Annotated[Path, typer.Option(help="Folder of page and pictures; made if need be.")],
+    only: Annotated[
+        list[str] | None, typer.Option(help="Part to make; may be repeated. All by default.")
+    ] = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder of third-party data; parts that need them are else left out."),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Coarsest grids: shows only that everything runs.")
+    ] = False,
+    again: Annotated[
+        bool, typer.Option("--again", help="Make parts anew that are there already.")
+    ] = False,
+    threads: Annotated[int | None, typer.Option(help="Number of threads.", min=1)] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> None:
+    """Make the validation page: the paper's figures and statements, ours, and why they differ.
+
+    Parts that the folder holds already are kept, so that an interrupted run goes on.
+    """
+    from optical_palpation.errors import ConvergenceError
+    from optical_palpation.reproduce import reproduce as make
+    from optical_palpation.study import Progress
+
+    with ProgressDisplay(quiet) as progress:
+        page, missing = make(
+            output,
+            only=only or (),
+            data=data,
+            quick=quick,
+            again=again,
+            threads=threads,
+            tell=lambda part, share, what: progress(Progress(part, share, None, what)),
+        )
+    if not quiet:
+        print(f"page: {page}")
+    for name, why in missing.items():
+        # What was asked for by name, and what should have worked, is a failure of the command.
+        if only or isinstance(why, ConvergenceError):
+            raise why
+        if not quiet:
+            print(f"left out: {name} ({why})")
