@@ -1,8 +1,8 @@
 """The fast linear solver: flexible GMRES on displacement and pressure.
 
 Preconditioned by the augmented-Lagrangian block-triangular factor: one multigrid V-cycle for the
-displacement block A + gamma B V^-1 B^T, and -(1 / (mu + gamma) + 1 / K) V for the Schur complement
-of the pressure. All in single precision: Newton's residual, in double, sets the accuracy.
+displacement block A + gamma B V^-1 B^T, and the Schur complement of the pressure in cosine modes.
+All in single precision: Newton's residual, in double, sets the accuracy.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from .grid import LayerGrid
 from .multigrid import Hierarchy
+from .schur import SchurComplement
 from .stencil import halo_zeros, interior, multiply
 from .system import NewtonSystem
 
 Array = NDArray[np.float64]
 
 #: Penalty of the displacement block in units of the shear modulus.
-_GAMMA = 10.0
+_GAMMA = 3.0
 #: Krylov iterations at which a linear solve ends whatever it has reached.
 _LONGEST = 40
 
@@ -34,6 +35,7 @@ class MultigridSolver:
         self.gamma = _GAMMA * shear_modulus
         self.shear_modulus = shear_modulus
         self.hierarchy = Hierarchy((grid.depth * float(np.median(grid.thickness)), grid.y, grid.x))
+        self.schur = SchurComplement(grid.shape, grid.spacing(), shear_modulus, self.gamma)
 
     def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Array, Array, int]:
         """Return the step (du in contact coordinates, dp) and the number of iterations.
@@ -48,9 +50,7 @@ class MultigridSolver:
         coupling = f32(1 - system.gamma / system.bulk_modulus)
         compressibility = volume / f32(system.bulk_modulus)
         weight = f32(self.shear_modulus + system.gamma) / np.cbrt(volume)
-        schur = -1 / (
-            volume * f32(1 / (self.shear_modulus + system.gamma) + 1 / system.bulk_modulus)
-        )
+        self.schur.prepare(volume, system.bulk_modulus)
         shape = system.rhs.shape[1:]
         x, y = halo_zeros(shape, f32), halo_zeros(shape, f32)
         size = free.size
@@ -68,8 +68,8 @@ class MultigridSolver:
             out_p[:] = weight * (system.volume_change(u) - compressibility * p)
             return out
 
-        # The uniform pressure is the mode that the diagonal Schur complement misses most (a layer
-        # with nowhere to go answers to it with its bulk modulus alone): it is solved for exactly.
+        # The uniform pressure is the mode that cosine modes miss most (a layer with nowhere to go
+        # answers to it with its bulk modulus alone): it is solved for exactly.
         interior(x)[:] = free * system.pressure_force(np.ones_like(volume))
         response = interior(self.hierarchy.cycle(x)).copy()
         uniform = float(system.volume_change(response).sum() + compressibility.sum())
@@ -81,7 +81,7 @@ class MultigridSolver:
             out_u, out_p = split(out)
             r_p = r_p / weight
             mean = float(r_p.sum(dtype=np.float64))
-            out_p[:] = schur * (r_p - volume * f32(mean / total)) - f32(mean / uniform)
+            out_p[:] = -self.schur.solve(r_p - volume * f32(mean / total)) - f32(mean / uniform)
             interior(x)[:] = free * (r_u - system.pressure_force(coupling * out_p))
             out_u[:] = interior(self.hierarchy.cycle(x))
             return out
