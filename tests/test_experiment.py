@@ -1,0 +1,410 @@
+"""Virtual experiments: layer on a deformable sample."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from optical_palpation.errors import ConvergenceError, InputError
+from optical_palpation.experiment import Scene, read_scene, run_experiment, scene_names
+from optical_palpation.experiment.assembly import at_rest, build
+from optical_palpation.experiment.equilibrium import LAYER, balance, newton_step
+from optical_palpation.experiment.scene import _random_field, with_element_size
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation import computational_stress
+
+MATERIAL = MooneyRivlin(2.23, 0.703)
+
+
+def scene(**changes):
+    """A small scene: 2 x 2 mm, 8 x 8 elements; a dotted name changes an entry of a part."""
+    content = {
+        "compression": 0.15,
+        "layer": {"size": (2.0, 2.0), "thickness": 0.5},
+        "sample": {"size": (2.0, 2.0), "thickness": 1.0},
+        "friction": {"window": 0.0, "sample": 0.0, "plate": 0.0},
+        "mesh": {"element_size": 0.25, "layer_elements": 2, "growth": 1.2},
+    }
+    for name, value in changes.items():
+        part, _, entry = name.partition("__")
+        if entry:
+            content[part][entry] = value
+        else:
+            content[part] = value
+    return Scene.model_validate(content)
+
+
+RIDGES = ({"kind": "sinusoid", "amplitude": 0.03, "wavelength": 1.3, "direction": 30.0},)
+FRICTION = {"window": 0.3, "sample": 0.1, "plate": 0.3}
+
+
+@pytest.fixture(scope="module")
+def rough():
+    """A rough sample of uneven stiffness, with friction everywhere."""
+    lump = {"kind": "ellipsoid", "factor": 5.0, "centre": (0.7, 1.2, 0.3), "radii": (0.4, 0.5, 0.3)}
+    return run_experiment(
+        scene(sample__relief=RIDGES, sample__stiffness=(lump,), friction=FRICTION), threads=1
+    )
+
+
+def test_stack_of_one_material_is_compressed_uniformly():
+    result = run_experiment(scene(compression=0.45), threads=1)
+    stretch = 1 - 0.45 / 1.5
+    assert np.allclose(result.maps["loaded_thickness"], 0.5 * stretch, atol=2e-6)
+    stress = MATERIAL.uniaxial_stress(stretch - 1, "true")
+    assert np.allclose(result.maps["axial_stress"], stress, rtol=1e-3)
+    assert np.allclose(result.maps["contact_pressure"], -stress, rtol=1e-3)
+    assert np.allclose(result.maps["traction_x"], 0, atol=1e-3)
+    force = -MATERIAL.uniaxial_stress(stretch - 1) * 4.0
+    for face in ("window", "sample", "plate"):
+        assert result.maps.attrs[f"{face}_force_mN"] == pytest.approx(force, rel=1e-3)
+    assert np.allclose(result.sample["cauchy_stress"].sel(tensor="zz"), stress, rtol=1e-3)
+
+
+def test_stiff_sample_and_soft_layer_are_springs_in_series():
+    stiff = ({"kind": "box", "factor": 4.0},)
+    result = run_experiment(scene(compression=0.01, sample__stiffness=stiff), threads=1)
+    modulus = MATERIAL.initial_youngs_modulus
+    stress = 0.01 / (0.5 / modulus + 1.0 / (4 * modulus))
+    inside = result.maps.sel(x=slice(0.5, 1.5), y=slice(0.5, 1.5))
+    assert np.allclose(-inside["axial_stress"], stress, rtol=0.03)
+    assert np.allclose(0.5 - inside["loaded_thickness"], 0.5 * stress / modulus, rtol=0.03)
+
+
+def test_what_the_window_bears_the_sample_and_the_plate_bear(rough):
+    assert rough.maps.attrs["force_balance"] < 1e-5
+    area = 0.25 * (rough.maps["x"][1] - rough.maps["x"][0]) ** 2
+    layer = rough.layer
+    assert float(rough.maps.attrs["window_force_mN"]) > 1
+    assert area > 0
+    # lateral forces on the layer by window and sample balance too
+    total = 0.0
+    for face in ("window", "sample"):
+        k = 0 if face == "window" else -1
+        position = np.moveaxis(layer["position"].values[k], -1, 0)
+        d1 = position[:, 1:, 1:] - position[:, :-1, :-1]
+        d2 = position[:, 1:, :-1] - position[:, :-1, 1:]
+        quarter = 0.125 * np.linalg.norm(np.cross(d1, d2, axis=0), axis=0)
+        nodal = np.zeros(position.shape[1:])
+        for j in (slice(None, -1), slice(1, None)):
+            for i in (slice(None, -1), slice(1, None)):
+                nodal[j, i] += quarter
+        total = total + (layer[f"{face}_traction"] * nodal[..., None]).sum(("x", "y"))
+    assert np.abs(total).max() < 1e-3 * rough.maps.attrs["window_force_mN"]
+
+
+def test_layer_and_sample_do_not_penetrate_one_another(rough):
+    # both surfaces meet within the smoothing of the contact wherever they touch
+    layer = rough.layer["position"].values[-1]
+    sample = rough.sample["position"].values[0]
+    closed = rough.layer["sample_contact_state"].values > 0
+    assert closed.mean() > 0.9
+    from scipy.interpolate import griddata
+
+    height = griddata(sample[..., :2].reshape(-1, 2), sample[..., 2].ravel(), layer[..., :2])
+    gap = (height - layer[..., 2])[1:-1, 1:-1][closed[1:-1, 1:-1]]
+    assert np.abs(gap).max() < 2e-3  # the surfaces are interpolated differently between nodes
+    assert np.abs(np.median(gap)) < 5e-4
+
+
+def test_mirrored_scene_gives_mirrored_maps():
+    def run(low, high):
+        columns = ({"kind": "box", "factor": 3.0, "x": (low, high), "y": (0.0, 0.75)},)
+        return run_experiment(
+            scene(sample__stiffness=columns, friction=FRICTION, compression=0.1), threads=1
+        ).maps
+
+    left, right = run(0.0, 1.0), run(1.0, 2.0)
+    for name, sign in (
+        ("axial_stress", 1),
+        ("loaded_thickness", 1),
+        ("traction_x", -1),
+        ("traction_y", 1),
+    ):
+        scale = float(np.abs(left[name]).max())
+        assert np.allclose(left[name], sign * right[name].values[:, ::-1], atol=2e-3 * scale), name
+
+
+def test_stiff_sample_acts_as_the_rigid_imprint():
+    stiff = ({"kind": "box", "factor": 2000.0},)
+    result = run_experiment(
+        scene(
+            sample__relief=RIDGES,
+            sample__stiffness=stiff,
+            friction={"window": 0.2, "sample": 0.1, "plate": 0.3},
+            mesh__element_size=0.2,
+            mesh__layer_elements=3,
+        ),
+        threads=1,
+    )
+    recovered = computational_stress(
+        result.maps["loaded_thickness"],
+        0.5,
+        MATERIAL,
+        window_friction=0.2,
+        sample_friction=0.1,
+        element_size=(0.2, 0.2, 0.5 / 3),
+        imprint_smoothing=0.0,
+        threads=1,
+    )
+    assert recovered.maps.attrs["window_force_mN"] == pytest.approx(
+        result.maps.attrs["window_force_mN"], rel=0.03
+    )
+    inside = {"x": slice(0.5, 1.5), "y": slice(0.5, 1.5)}
+    true = result.maps["axial_stress"].interp_like(recovered.maps["axial_stress"]).sel(inside)
+    error = recovered.maps["axial_stress"].sel(inside) - true
+    assert float(np.sqrt((error**2).mean() / (true**2).mean())) < 0.05
+
+
+def test_smaller_sample_leaves_the_rest_of_the_layer_alone():
+    result = run_experiment(
+        scene(
+            sample__size=(1.0, 1.0),
+            sample__stiffness=({"kind": "box", "factor": 30.0},),
+            friction=FRICTION,
+            mesh__element_size=0.125,
+        ),
+        threads=1,
+    )
+    maps = result.maps
+    outside = maps.sel(x=slice(0.0, 0.25))
+    assert np.allclose(outside["contact_pressure"], 0, atol=0.02)
+    assert (outside["contact_state"] == 0).all()
+    # an incompressible layer gives way sideways and grows thicker beside the sample
+    assert float(maps["loaded_thickness"].sel(x=0.45, y=1.0, method="nearest")) > 0.5
+    assert float(maps["loaded_thickness"].sel(x=1.0, y=1.0, method="nearest")) < 0.4
+    assert maps.attrs["force_balance"] < 1e-5
+
+
+def test_tangent_is_the_derivative_of_forces_contact_and_volumes():
+    """Directional derivative; friction at the interface is off, whose tangent is approximate."""
+    assembly = build(
+        scene(
+            sample__relief=RIDGES,
+            sample__stiffness=({"kind": "random", "spread": 0.5, "correlation_length": 0.3},),
+            friction={"window": 0.3, "sample": 0.0, "plate": 0.3},
+        )
+    )
+    rng = np.random.default_rng(0)
+    state = at_rest(assembly)
+    u = rng.normal(size=state.u.shape) * 1e-3
+    layer_nodes = assembly.bodies[LAYER].n_nodes
+    u[layer_nodes:, 2] -= 0.05
+    u[layer_nodes:, :2] += 0.03
+    u[:layer_nodes, 2] -= 0.01
+    state = replace(state, load=0.3).moved(
+        u,
+        tuple(rng.normal(size=p.shape) for p in state.p),
+        tuple(np.abs(rng.normal(size=force.shape)) * 0.3 for force in state.forces),
+    )
+
+    def residual(state):
+        now = balance(assembly, state, smoothing=1.0)
+        out = now.internal.copy()
+        for term in now.terms:
+            np.add.at(out, term.meeting.nodes, term.residual)
+        violation = np.concatenate([term.violation for term in now.terms])
+        volume = np.concatenate([part.volume_residual.ravel() for part in now.bodies])
+        return out, violation, volume
+
+    class Given:
+        """Stands for a linear solver: keeps the system and returns a fixed step."""
+
+        step = rng.normal(size=u.size) * 1e-3
+
+        def solve(self, matrix, rhs):
+            self.left = (matrix @ self.step - rhs).reshape(-1, 3)
+            return self.step
+
+    given = Given()
+    now = balance(assembly, state, smoothing=1.0)
+    du, dp, dn = newton_step(assembly, state, now, given)
+    small = 1e-4
+
+    def at(fraction):
+        return residual(
+            state.moved(
+                state.u + fraction * du,
+                tuple(p + fraction * d for p, d in zip(state.p, dp, strict=True)),
+                tuple(n + fraction * d for n, d in zip(state.forces, dn, strict=True)),
+            )
+        )
+
+    here = residual(state)
+    derivative = [(a - b) / (2 * small) for a, b in zip(at(small), at(-small), strict=True)]
+    # what the linear system leaves is what the forces will be, to first order
+    assert np.abs(derivative[0] + here[0] - given.left).max() < 1e-5 * np.abs(given.left).max()
+    # the law of contact and incompressibility hold after any step, to first order
+    assert np.abs(derivative[1] + here[1]).max() < 1e-3 * np.abs(here[1]).max()
+    assert np.abs(derivative[2] + here[2]).max() < 1e-5 * np.abs(derivative[2]).max()
+
+
+def test_forces_of_the_interface_balance_and_so_do_their_moments():
+    assembly = build(scene(sample__relief=RIDGES, friction=FRICTION))
+    state = at_rest(assembly)
+    u = state.u.copy()
+    u[assembly.bodies[LAYER].n_nodes :] += (0.031, -0.017, -0.06)
+    position = assembly.position(u)
+    meeting = assembly.meet(position, 0.0)[1]
+    assert np.allclose(meeting.weights.sum(1), 0, atol=1e-12)
+    assert np.allclose(meeting.lateral_offset(position), 0, atol=1e-9)
+
+
+def test_random_fields_do_not_depend_on_the_mesh_and_have_unit_variance():
+    axis = np.linspace(0.0, 20.0, 201)
+    y, x = np.meshgrid(axis, axis, indexing="ij")
+    field = _random_field((y, x), 0.6, seed=3)
+    assert field.std() == pytest.approx(1.0, abs=0.1)
+    assert np.mean(field[6:] * field[:-6]) / np.var(field) == pytest.approx(np.exp(-1), abs=0.06)
+    assert np.allclose(field[::4, ::4], _random_field((y[::4, ::4], x[::4, ::4]), 0.6, seed=3))
+
+
+def test_arrays_act_as_entries_of_the_scene():
+    x = np.linspace(0.0, 2.0, 41)
+    ramp = np.broadcast_to(0.02 * (x - 1), (41, 41))
+    relief = xr.DataArray(ramp, {"y": x, "x": x}, ("y", "x"))
+    factor = xr.DataArray(
+        np.where(x < 1.0, 3.0, 1.0) * np.ones((2, 41, 1)),
+        {"z": [0.0, 1.0], "y": x, "x": x},
+        ("z", "y", "x"),
+    )
+    result = run_experiment(scene(compression=0.1), relief=relief, stiffness=factor, threads=1)
+    stiffness = result.sample["stiffness"].values
+    assert set(np.unique(stiffness)) == {1.0, 3.0}
+    assert (stiffness[..., :4] == 3.0).all()
+    top = result.sample["position"].values[0] - result.sample["displacement"].values[0]
+    assert top[4, 0, 2] - top[4, -1, 2] == pytest.approx(0.04)
+
+
+def test_shipped_scenes_are_whole():
+    assert set(scene_names()) == {
+        "cube_on_plate",
+        "random_tissue",
+        "sinusoid",
+        "soft_stiff_columns",
+    }
+    for name in scene_names():
+        assembly = build(with_element_size(read_scene(name), 0.1))
+        assert np.isfinite(assembly.bodies[1].nodes).all()
+        assert (assembly.bodies[1].stiffness > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("compression = ", "no TOML"),
+        ("compression = -1.0", "compression"),
+        ("speed = 3", "speed"),
+        ("[layer]\nsize = [1.0]", "layer.size"),
+        ("[layer]\nsize = [1.0, nan]", "layer.size"),
+        ("[[sample.relief]]\nkind = 'hill'", "relief"),
+        ("[friction]\nwindow = -0.1", "friction.window"),
+        ("[friction]\nwindow = 9.0", "friction.window"),
+        ("[mesh]\nelement_size = 0", "mesh.element_size"),
+    ],
+)
+def test_bad_scene_files_are_named(tmp_path, text, message):
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as error:
+        read_scene(path)
+    assert str(path) in str(error.value)
+
+
+def test_unknown_scene_lists_the_known():
+    with pytest.raises(InputError, match="sinusoid"):
+        read_scene("sinus")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mesh__element_size": 0.9}, "element_size"),
+        ({"compression": 1.4}, "compression"),
+        ({"sample__c10": -5.0}, "unstable"),
+        ({"sample__c10": 1e9}, "10000"),
+        (
+            {"sample__relief": ({"kind": "sinusoid", "amplitude": 2.0, "wavelength": 1.0},)},
+            "relief",
+        ),
+        ({"sample__relief": ({"kind": "file", "path": "missing.nc"},)}, "missing.nc"),
+        ({"sample__stiffness": ({"kind": "file", "path": "missing.nc"},)}, "missing.nc"),
+        (
+            {"sample__relief": ({"kind": "random", "rms": 0.01, "correlation_length": 1e-5},)},
+            "correlation_length",
+        ),
+    ],
+)
+def test_scenes_that_cannot_be_computed(changes, message):
+    with pytest.raises(InputError, match=message):
+        run_experiment(scene(**changes), threads=1)
+
+
+def test_bad_arrays():
+    flat = xr.DataArray(np.zeros((2, 2)), {"y": [0.0, 1.0], "x": [0.0, 1.0]}, ("y", "x"))
+    with pytest.raises(InputError, match="positive"):
+        run_experiment(scene(), stiffness=flat, threads=1)
+    with pytest.raises(InputError, match="missing"):
+        run_experiment(scene(), relief=flat * np.nan, threads=1)
+    with pytest.raises(InputError, match="y, x"):
+        run_experiment(scene(), relief=flat.rename(x="u"), threads=1)
+    with pytest.raises(InputError, match="threads"):
+        run_experiment(scene(), threads=0)
+
+
+def test_compression_out_of_reach_says_how_far_it_came():
+    steep = ({"kind": "sinusoid", "amplitude": 0.3, "wavelength": 0.7},)
+    with pytest.raises(ConvergenceError, match="compressed to"):
+        run_experiment(scene(compression=0.7, sample__relief=steep, friction=FRICTION), threads=1)
+
+
+def test_files_of_a_result(rough, tmp_path):
+    from optical_palpation.present.experiment import (
+        write_bodies,
+        write_experiment,
+        write_experiment_figure,
+    )
+    from optical_palpation.thickness import read_thickness_map
+
+    path = tmp_path / "experiment.nc"
+    write_experiment(rough, path)
+    maps = xr.load_dataset(path, engine="h5netcdf")
+    assert np.allclose(maps["axial_stress"], rough.maps["axial_stress"])
+    assert json.loads(maps.attrs["scene"])["compression"] == 0.15
+    assert maps["axial_stress"].attrs["units"] == "kPa"
+    sample = xr.load_dataset(path, engine="h5netcdf", group="sample")
+    assert np.allclose(sample["stiffness"], rough.sample["stiffness"], rtol=1e-6)
+    thickness = read_thickness_map(path, variable="loaded_thickness")
+    assert np.allclose(thickness, rough.maps["loaded_thickness"])
+
+    write_bodies(rough, tmp_path / "layer.vts", tmp_path / "sample.vts")
+    assert (tmp_path / "sample.vts").read_text().startswith("<?xml")
+    write_experiment_figure(rough, tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
+
+
+def test_command(tmp_path, capsys):
+    from optical_palpation.cli import main
+
+    path = tmp_path / "scene.toml"
+    path.write_text(
+        "compression = 0.05\n[layer]\nsize = [1.0, 1.0]\n[sample]\nsize = [1.0, 1.0]\n"
+        "thickness = 0.5\n[mesh]\nelement_size = 0.25\nlayer_elements = 2\n"
+    )
+    arguments = ["experiment", str(path), "--output", str(tmp_path / "out"), "--threads", "1"]
+    with pytest.raises(SystemExit) as exit_:
+        main(arguments)
+    assert not exit_.value.code
+    assert "force at window" in capsys.readouterr().out
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "experiment.nc",
+        "experiment.png",
+        "layer.vts",
+        "sample.vts",
+    }
+    with pytest.raises(SystemExit) as exit_:
+        main(["experiment", "nowhere.toml", "--output", str(tmp_path / "other")])
+    assert exit_.value.code == 2
+    assert not (tmp_path / "other").exists()
