@@ -1,0 +1,118 @@
+"""A study that is killed at any moment leaves nothing half done, and can be taken up again."""
+
+import json
+import multiprocessing
+import random
+import shutil
+import signal
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from optical_palpation.cli import main
+from optical_palpation.study.record import RECORD
+from study_case import STUDY, make_study, make_volumes
+
+KILLS = 20
+# A process that has imported all it needs and is copied for every run: the kills are to strike
+# while the study runs, and not while Python starts.
+CONTEXT = multiprocessing.get_context("forkserver")
+CONTEXT.set_forkserver_preload(["test_study_interrupted", "optical_palpation.study"])
+
+
+def run_study(folder: str) -> None:
+    main(["run", f"{folder}/study.toml", "--quiet"])
+
+
+def start(folder: Path) -> multiprocessing.process.BaseProcess:
+    process = CONTEXT.Process(target=run_study, args=(str(folder),))
+    process.start()
+    return process
+
+
+def record(results: Path) -> dict:
+    return json.loads((results / RECORD).read_text())
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """A folder with a finished study, run twice so that all is compiled."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    make_volumes(folder)
+    make_study(folder, STUDY)
+    for _ in range(2):
+        shutil.rmtree(folder / "study-results", ignore_errors=True)
+        process = start(folder)
+        process.join()
+        assert process.exitcode == 0
+    return folder
+
+
+def wait_for(stages: int, results: Path) -> None:
+    """Wait until so many stages are finished."""
+    limit = time.monotonic() + 120
+    while time.monotonic() < limit:
+        if (results / RECORD).exists() and len(record(results)["stages"]) >= stages:
+            return
+        time.sleep(0.002)
+    raise TimeoutError(f"stage {stages} is not reached")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+def test_killed_at_random_moments(undisturbed, tmp_path):
+    expected = {p.name: p.read_bytes() for p in (undisturbed / "study-results").iterdir()}
+    seconds = [
+        stage["seconds"] for stage in record(undisturbed / "study-results")["stages"].values()
+    ]
+
+    def kill_and_resume(n: int) -> bool:
+        folder = tmp_path / str(n)
+        folder.mkdir()
+        for path in undisturbed.glob("*.*"):
+            (folder / path.name).hardlink_to(path)
+        results = folder / "study-results"
+        # Somewhere in a stage; how long it takes depends on what else the machine does.
+        stage, moment = divmod(len(seconds) * (n + random.Random(n).random()) / KILLS, 1)
+        process = start(folder)
+        if stage:
+            wait_for(int(stage), results)
+        time.sleep(moment * seconds[int(stage)])
+        process.kill()
+        process.join()
+        killed = process.exitcode == -signal.SIGKILL
+        before = check_whole(results, expected)
+
+        process = start(folder)
+        process.join()
+        assert process.exitcode == 0
+        after = record(results)
+        assert after["complete"] is True
+        # What was finished was not done again: its time stamp is the old one.
+        assert {name: after["stages"][name] for name in before} == before
+        # The same files to the last bit, and no leftovers of the run that was killed.
+        assert {p.name for p in results.iterdir()} == set(expected)
+        for name in expected.keys() - {RECORD}:
+            assert (results / name).read_bytes() == expected[name], name
+        return killed
+
+    with ThreadPoolExecutor(4) as pool:
+        killed = list(pool.map(kill_and_resume, range(KILLS)))
+    assert sum(killed) >= KILLS - 2  # the last may come too late
+
+
+def check_whole(results: Path, expected: dict[str, bytes]) -> dict[str, dict]:
+    """Check that every file with a final name is final; return what the record says is finished."""
+    if not (results / RECORD).exists():
+        assert not results.exists() or all(p.name.startswith(".") for p in results.iterdir())
+        return {}
+    for path in results.iterdir():
+        if not path.name.startswith(".") and path.name != RECORD:
+            assert path.read_bytes() == expected[path.name], f"{path.name} is half done"
+    stages = record(results)["stages"]
+    assert record(results)["complete"] is (stages.keys() == expected.keys() - {RECORD})
+    assert all((results / name).exists() for name in stages)
+    return stages
