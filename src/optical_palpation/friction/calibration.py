@@ -16,12 +16,11 @@ from scipy.interpolate import PchipInterpolator
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.files import replacing
 from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics.cascade import LoadNotReached, make_solver, solve
 from optical_palpation.mechanics.contact import remember_slip
-from optical_palpation.mechanics.direct import DirectSolver
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import NotConverged, Tolerances, equilibrate
-from optical_palpation.mechanics.path import LoadNotReached, follow
 from optical_palpation.mechanics.problem import SAMPLE, LayerProblem
 
 Array = NDArray[np.float64]
@@ -117,17 +116,19 @@ def slab_profile(
         (friction, sample_friction),
         slip_length=_PRELOAD_SLIP,
     )
-    solver = DirectSolver(problem.bulk_modulus)
     stress = -float(material.uniaxial_stress(-compression / initial_thickness, "true"))
-    bound = 2.0 * stress * grid.surface_areas(grid.nodes[:, -1])
+
+    def bound(level: LayerProblem) -> Array:
+        return 2.0 * stress * level.grid.surface_areas(level.grid.nodes[:, -1])
+
     try:
-        state, _, _ = follow(problem, solver, Tolerances(), bound)
+        state = solve(problem, bound, solver="multigrid", tolerances=Tolerances()).state
         loaded, force = state.u.copy(), float(state.normal_force[SAMPLE].sum())
         remember_slip(problem, state)
         state.load = 1.0 + step / compression
         for share in _STEP_SLIPS:
             fine = replace(problem, slip_length=share * step)
-            equilibrate(fine, state, solver, Tolerances(iterations=60))
+            equilibrate(fine, state, make_solver(fine, "multigrid"), Tolerances(iterations=60))
     except (LoadNotReached, NotConverged) as failure:
         raise ConvergenceError(
             f"flat layer with friction {friction:g} at the window, compressed by "
