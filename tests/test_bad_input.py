@@ -40,8 +40,8 @@ def here(tmp_path, monkeypatch):
     x, y = np.linspace(0, 2, 17), np.linspace(0, 1.5, 13)
     good = 0.42 - 0.04 * np.exp(-((x - 0.7) ** 2 + (y[:, None] - 1) ** 2) / 0.2)
     np.save("map.npy", good)
-    (tmp_path / "link.npy").symlink_to("map.npy")
     xr.Dataset({"L1": (("y", "x"), good)}, {"x": x, "y": y}).to_netcdf("map.nc", engine="h5netcdf")
+    (tmp_path / "link.nc").symlink_to("map.nc")
     (tmp_path / "folder.nc").mkdir()
     for name, values in {
         "complex": good + 0j,
@@ -195,6 +195,7 @@ OPTIONS = {
         pytest.param(
             ["map.nc", "--output", "folder.nc/../map.nc"], "is also an input", id="output=input2"
         ),
+        pytest.param(["map.nc", "--output", "link.nc"], "is also an input", id="output=link"),
     ],
 )
 def test_maps_and_frames(here, capsys, arguments, message):
