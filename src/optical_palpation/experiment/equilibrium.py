@@ -308,6 +308,8 @@ class StepControl:
     largest: float = 0.25
     smallest: float = 2e-3
     easy: int = 8
+    #: The last one is repeated on finer meshes: the smaller, the surer.
+    last: float = 0.1
 
 
 @dataclass
@@ -340,7 +342,9 @@ def follow(
     step, record = control.first, []
     while True:
         load = min(1.0, state.load + step)
-        if 1.0 - load < 0.1 * step:
+        if load > 1.0 - control.last and state.load < 1.0 - 1.5 * control.last:
+            load = 1.0 - control.last
+        elif 1.0 - load < 0.1 * step:
             load = 1.0
         trial = replace(state, load=load)
         if before is not None:
