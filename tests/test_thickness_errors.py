@@ -245,6 +245,11 @@ def test_maps_made_by_hand_need_a_frame():
             use(bare)
         with pytest.raises(InputError, match="rise or fall"):
             use(bare.assign_coords(x=[0, 1, 1, 2], y=[0, 1, 2]))
+        with pytest.raises(InputError, match=r"not ndarray\. Make one of an array with"):
+            use(GOOD)
+        cleaned = clean_thickness(thickness_map(GOOD, field_of_view=(5, 5)))
+        with pytest.raises(InputError, match="not Dataset: take its variable 'thickness'"):
+            use(cleaned)
     with pytest.raises(InputError, match="x coordinates are no numbers"):
         thickness_map(GOOD, x=list("abcd"), y=[0, 1, 2])
     with pytest.raises(InputError, match="5 x coordinates for 4 pixels"):

@@ -89,6 +89,12 @@ def layer_extent_of(thickness: xr.DataArray) -> tuple[float, float, float, float
 
 def on_grid(thickness: xr.DataArray) -> xr.DataArray:
     """Return the map on ``(y, x)``, or raise an InputError if it lacks that frame."""
+    if not isinstance(thickness, xr.DataArray):
+        hint = ": take its variable 'thickness'" if isinstance(thickness, xr.Dataset) else ""
+        raise InputError(
+            f"a thickness map is an xarray.DataArray, not {type(thickness).__name__}{hint}. Make "
+            "one of an array with thickness_map"
+        )
     if set(thickness.dims) != {"y", "x"} or not {"y", "x"} <= set(thickness.coords):
         raise InputError(
             f"a thickness map has the dimensions (y, x) with coordinates in mm; found dimensions "
