@@ -35,6 +35,7 @@ class Sandbox:
         self._process = context.Process(target=worker, args=(far,), daemon=True)
         self._process.start()
         far.close()
+        self._pipe.recv()  # ready: imports on a busy machine do not count
 
     def open(self, path: Path, facts: dict[str, Any], what: str = "volume") -> Outcome:
         """Read a ``volume`` (at most 20 of its B-scans) or a thickness ``map``."""
@@ -57,11 +58,14 @@ class Sandbox:
 
 def worker(pipe: Connection) -> None:
     """Open the files whose paths come through the pipe; reply with the outcome."""
+    import optical_palpation.thickness
+    import optical_palpation.volume  # noqa: F401
     from optical_palpation.errors import InputError
 
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("ignore")
     resource.setrlimit(resource.RLIMIT_AS, (12 * 2**30, 12 * 2**30))
+    pipe.send("ready")
     while True:
         what, path, facts = pipe.recv()
         Path("/proc/self/clear_refs").write_text("5")  # forget the peak so far
