@@ -7,13 +7,15 @@ import performance_page
 from optical_palpation.mechanics import multigrid
 from performance_probe import PHASES, Probe
 
+SIZE = (1.0, 1.0, 0.25)
+
 
 def test_the_probe_sees_every_phase_and_leaves_no_trace():
-    loaded = performance.loaded_thickness(5.0)[::10, ::10]
+    loaded = performance.loaded_thickness(5.0)[::25, ::25]
     smooth = multigrid.Level.smooth
-    performance.solve(loaded, 0.5, threads=1)  # compiles
+    performance.solve(loaded, SIZE, threads=1)  # compiles
     with Probe() as probe:
-        result = performance.solve(loaded, 0.5, threads=1)
+        result = performance.solve(loaded, SIZE, threads=1)
     assert multigrid.Level.smooth is smooth
     assert set(probe.seconds) == set(PHASES) - {"direct"}
     assert all(seconds > 0 for seconds in probe.seconds.values())
@@ -22,7 +24,7 @@ def test_the_probe_sees_every_phase_and_leaves_no_trace():
     # each step smooths at least once, and that reads the stencil several times
     assert probe.bytes_moved > 4 * 100 * nodes * result.maps.attrs["newton_iterations"]
     with Probe() as probe:
-        performance.solve(loaded, 0.5, solver="direct", threads=1)
+        performance.solve(loaded, SIZE, solver="direct", threads=1)
     assert probe.seconds["direct"] > 0
     assert "smoother" not in probe.seconds
 
