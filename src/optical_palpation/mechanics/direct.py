@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache
 from typing import ClassVar
 
@@ -50,6 +51,8 @@ def sparse_solve(matrix: sp.csr_matrix, rhs: Array) -> Array:
         return splu(
             matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
         ).solve(rhs)
+    # Else every new solver seeks the library of MKL in the folders of Python, for half a second.
+    os.environ.setdefault("PYPARDISO_MKL_RT", pypardiso.ps.libmkl._name)
     solver = pypardiso.PyPardisoSolver()
     try:
         return solver.solve(matrix, rhs)
