@@ -8,6 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from optical_palpation.errors import ConvergenceError, InputError, OutputError
+from optical_palpation.reproduce.experiments import columns, cube, sinusoid
 from optical_palpation.reproduce.friction import friction
 from optical_palpation.reproduce.layers import coin, independent_code
 from optical_palpation.reproduce.material import material, phase
@@ -27,6 +28,9 @@ _CHAPTERS = {
     "material": _Chapter("The layer's material", material),
     "friction": _Chapter("Friction from displacement profiles", friction),
     "total-stress": _Chapter("Total stress of a flat layer", total_stress),
+    "sinusoid": _Chapter("Virtual experiment: five ridges", sinusoid),
+    "columns": _Chapter("Virtual experiment: a soft and a stiff column", columns),
+    "cube": _Chapter("Virtual experiment: a stiff cube", cube),
     "resolution": _Chapter("Lateral resolution", resolution),
     "coin": _Chapter("A coin", coin),
     "independent-code": _Chapter("An independent code", independent_code),

@@ -89,15 +89,25 @@ def total_stress(setting: Setting) -> Part:
                 where,
                 "total stress, kPa",
                 claim,
-                f"{r['computational']:.1f} (+{r['high'] - r['computational']:.1f} "
-                f"−{r['computational'] - r['low']:.1f} for friction ±0.05); "
-                f"algebraic {r['algebraic']:.1f}",
-                f"computational {r['computational'] / expected - 1:+.1%}, algebraic "
-                f"{r['algebraic'] / expected - 1:+.0%}; compressed by {r['strain']:.0%} "
-                f"(paper: {'10 to 20' if r['load'] < 1000 else 'beyond 50, high friction'} %)",
+                f"{_computed(r)}; algebraic {r['algebraic']:.1f}",
+                f"computational {_percent(r['computational'] / expected - 1)}, algebraic "
+                f"{_percent(r['algebraic'] / expected - 1)}; compressed by {r['strain']:.0%}",
             )
         )
     return part
+
+
+def _computed(result: dict[str, Any]) -> str:
+    middle, high, low = (result[key] for key in ("computational", "high", "low"))
+    if np.isnan(middle):
+        return "full load not reached"
+    ends = f"{low:.1f}" if np.isfinite(low) else "not reached"
+    ends += " to " + (f"{high:.1f}" if np.isfinite(high) else "not reached")
+    return f"{middle:.1f} ({ends} for friction ±0.05)"
+
+
+def _percent(share: float) -> str:
+    return f"{share:+.1%}" if np.isfinite(share) else "—"
 
 
 def _thickness_under(load: float, mu: float, elements: int) -> float:
@@ -121,17 +131,21 @@ def _thickness_under(load: float, mu: float, elements: int) -> float:
 
 
 def _force(thickness: float, mu: float, change: float, element: float, setting: Setting) -> float:
+    """Force on the layer, mN, both coefficients changed; NaN if the load is not reached."""
     x = np.linspace(0.0, _SIZE, 41)
     loaded = thickness_map(np.full((41, 41), thickness), x=x, y=x, where="flat layer")
-    result = computational_stress(
-        loaded,
-        _THICKNESS,
-        _MATERIAL,
-        window_friction=mu + change,
-        sample_friction=_SAMPLE_FRICTION + change,
-        element_size=(element, element, _THICKNESS / 4),
-        threads=setting.threads,
-    )
+    try:
+        result = computational_stress(
+            loaded,
+            _THICKNESS,
+            _MATERIAL,
+            window_friction=mu + change,
+            sample_friction=_SAMPLE_FRICTION + change,
+            element_size=(element, element, _THICKNESS / 4),
+            threads=setting.threads,
+        )
+    except ConvergenceError:
+        return float("nan")
     return float(result.maps.attrs["window_force_mN"])
 
 
@@ -155,7 +169,7 @@ def _draw(results: list[dict[str, Any]], path: Any) -> None:
         middle,
         0.25,
         color="#0072B2",
-        yerr=[middle - column("low"), column("high") - middle],
+        yerr=np.nan_to_num([middle - column("low"), column("high") - middle]),
         capsize=3,
         label="computational, friction ±0.05",
     )
