@@ -1,34 +1,38 @@
-"""From coarse to fine: the load path on a coarse grid, the finish at full load on finer ones.
+"""From coarse to fine: the first half of the load path on a coarse grid, the rest on the finest.
 
-A Newton step costs little on a coarse grid, so the load path is followed there. Its last two states
-are carried to the next finer grid, displacement, pressure, contact forces and friction memory
-together, and the last load step is repeated there from the coarse solution.
+A Newton step costs little on a coarse grid, so the load path is begun there. Its state at the
+handover is carried from grid to grid, displacement, pressure, contact forces and friction memory
+together. What happens late, at the free edges above all, depends on the grid and is followed on the
+finest alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .contact import remember_slip
 from .direct import DirectSolver
 from .grid import LayerGrid
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .newton import Balance, LinearSolver, NotConverged, Tolerances, equilibrate
-from .path import LoadNotReached, StepControl, follow
+from .path import LoadNotReached, StepControl, extrapolated, follow
 from .problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
 
 #: Elements up to which a grid is the start of the cascade.
 _COARSEST = 2000
+#: Fraction of the full load at which a solution changes grids.
+_HANDOVER = 0.2
 #: Factor by which friction is softened while a solution changes grids.
 _CHANGE_OF_GRID = 20.0
-#: Newton iterations after which the exact change of grids gives way to the robust one.
-_PATIENCE = 14
 
 
 @dataclass
@@ -40,7 +44,6 @@ class Solution:
 
     problem: LayerProblem
     state: LayerState
-    previous: LayerState
     record: list[tuple[int, float, int]] = field(default_factory=list)
 
     @property
@@ -117,79 +120,69 @@ def solve(
     while cascade and (coarser := coarsened(levels[-1])) is not None:
         levels.append(coarser)
     record: list[tuple[int, float, int]] = []
-    state = previous = None
+    state = full = None
     for n in reversed(range(len(levels))):
         level = levels[n]
         linear = make_solver(level, solver)
-        report = None
-        if on_iteration:
-
-            def report(load, iteration, now, krylov, level=level):
-                on_iteration(level, load, iteration, now, krylov)
-
-        elements = level.grid.n_elements
-        if state is not None and previous is not None:
-            refined = None
-            for soften in (True, False):
-                limit = replace(tolerances, iterations=_PATIENCE) if soften else tolerances
-                try:
-                    refined = _refine(
-                        state, previous, levels[n + 1], level, linear, limit, report, soften
-                    )
-                    break
-                except NotConverged:
-                    continue
-            if refined is not None:
-                state, previous, counts = refined
-                record += [(elements, load, count) for load, count in counts]
-                continue
-            # the coarse solution is too far away: follow the load on this grid
-        state, previous, path = follow(
-            level, linear, tolerances, bound_guess(level), control, report
+        report = partial(on_iteration, level) if on_iteration else None
+        load = partial(
+            follow,
+            level,
+            linear,
+            tolerances,
+            control=control,
+            on_iteration=report,
+            target=1.0 if n == 0 else _HANDOVER,
         )
-        record += [(elements, load, count) for load, count in path]
-    assert state is not None
-    assert previous is not None
-    return Solution(problem, state, previous, record)
+        path = None
+        if state is not None:
+            # a coarse solution may be too far away: then the load is followed on this grid
+            with suppress(NotConverged, LoadNotReached):
+                state, full, count = _carried(
+                    state, full, levels[n + 1], level, linear, tolerances, report
+                )
+                record.append((level.grid.n_elements, state.load, count))
+                path = load(state, full)
+        if path is None:
+            rest = LayerState.unloaded(level.grid)
+            full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
+            path = load(rest, full)
+        state, before, steps = path
+        record += [(level.grid.n_elements, *step) for step in steps]
+        if before.load < state.load < 1.0:
+            full = extrapolated(before, state, 1.0)
+            remember_slip(level, state)
+    return Solution(problem, state, record)
 
 
-def _refine(
+def _carried(
     state: LayerState,
-    previous: LayerState,
+    full: LayerState,
     coarse: LayerProblem,
     fine: LayerProblem,
     linear: LinearSolver,
     tolerances: Tolerances,
     report: Callable[[float, int, Balance, int], None] | None,
-    soften: bool,
-) -> tuple[LayerState, LayerState, list[tuple[float, int]]]:
-    """Repeat the last load step of ``coarse``, from ``previous`` to ``state``, on ``fine``.
+) -> tuple[LayerState, LayerState, int]:
+    """Carry a state of ``coarse`` to ``fine``, with the estimate of its ``full`` load.
 
-    With ``soften`` the previous state is first brought into equilibrium on the fine grid; without,
-    the change of grids counts as slip, which is more robust and less exact.
+    The layer moves by a few micrometres from one grid to the next. That is no slip: the state is
+    brought into equilibrium under a friction that hardly feels it, and its memory is laid anew.
     """
+    state, full = prolong(state, coarse, fine), prolong(full, coarse, fine)
+    full.u -= state.u
+    full.p -= state.p
 
-    def reach(problem: LayerProblem, target: LayerState) -> tuple[float, int]:
-        def forward(iteration: int, now: Balance, krylov: int) -> None:
-            if report:
-                report(target.load, iteration, now, krylov)
+    def forward(iteration: int, now: Balance, krylov: int) -> None:
+        if report:
+            report(state.load, iteration, now, krylov)
 
-        return target.load, equilibrate(problem, target, linear, tolerances, forward)
-
-    state, previous = prolong(state, coarse, fine), prolong(previous, coarse, fine)
-    step = state.u - previous.u, state.p - previous.p
-    counts = []
-    if soften and previous.load > 0:
-        # The layer moves by a few micrometres from one grid to the next. That is no slip: the
-        # grids change under a friction that hardly feels it, and the memory is laid anew.
-        counts.append(
-            reach(replace(fine, slip_length=_CHANGE_OF_GRID * fine.slip_length), previous)
-        )
-        previous.anchor = np.stack([previous.u[:2, 0], previous.u[:2, -1]])
-        state.u, state.p = previous.u + step[0], previous.p + step[1]
-    state.slip, state.anchor = previous.slip.copy(), previous.anchor.copy()
-    counts.append(reach(fine, state))
-    return state, previous, counts
+    soft = replace(fine, slip_length=_CHANGE_OF_GRID * fine.slip_length)
+    count = equilibrate(soft, state, linear, tolerances, forward)
+    state.anchor = np.stack([state.u[:2, 0], state.u[:2, -1]])
+    full.u += state.u
+    full.p += state.p
+    return state, full, count
 
 
 def make_solver(problem: LayerProblem, name: str) -> LinearSolver:

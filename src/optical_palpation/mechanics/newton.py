@@ -63,6 +63,10 @@ class Tolerances:
 _SMOOTHING = (3e-3, 1e-3)
 
 
+#: Newton iterations in which the error must fall, or a smaller load is tried.
+_STAGNATION = 5
+
+
 @dataclass
 class Balance:
     """Internal forces, volumes and contact of a state, and how far it is from equilibrium.
@@ -158,9 +162,14 @@ def equilibrate(
     now = balance(problem, state, smoothing, direction)
     krylov = 0
     storage = None
+    errors: list[float] = []
+    linear = tolerances.linear
     for iteration in range(tolerances.iterations):
         if on_iteration:
             on_iteration(iteration, now, krylov)
+        errors.append(now.force_error)
+        if iteration >= _STAGNATION and errors[-1] > 0.3 * errors[-_STAGNATION]:
+            raise NotConverged("Newton's method stagnates")
         if (
             iteration > 0
             and smoothing == _SMOOTHING[1]
@@ -180,7 +189,7 @@ def equilibrate(
             storage,
         )
         storage = system.stencil
-        du, dp, krylov = solver.solve(system, tolerances.linear)
+        du, dp, krylov = solver.solve(system, linear)
         if not (np.isfinite(du).all() and np.isfinite(dp).all()):
             raise NotConverged("the linear system could not be solved")
         step = system.to_cartesian(du)
@@ -203,6 +212,10 @@ def equilibrate(
             # the first step crosses the new load: it may leave more out of balance than it found
             if iteration == 0 or after.force_error < (1 - 0.3 * fraction) * now.force_error:
                 break
+        # a step that must be cut may be the fault of its linear solution
+        linear = (
+            tolerances.linear if fraction == 1.0 else max(0.1 * linear, 1e-3 * tolerances.linear)
+        )
         if best is None:
             raise NotConverged("an element turned inside out")
         now, direction, state.u, state.p, state.normal_force = best

@@ -20,7 +20,7 @@ class StepControl:
     """Load increments, as fractions of the full load."""
 
     first: float = 0.1
-    largest: float = 0.25
+    largest: float = 0.3
     smallest: float = 1e-3
     #: A load reached in fewer Newton iterations lets the next increment grow.
     easy: int = 6
@@ -35,52 +35,55 @@ class LoadNotReached(Exception):
         self.reason = reason
 
 
+def extrapolated(state: LayerState, other: LayerState, load: float) -> LayerState:
+    """Continue the straight line from one state through another, from ``state``, to ``load``."""
+    out = state.copy()
+    out.load = load
+    ratio = (load - state.load) / (other.load - state.load)
+    out.u += ratio * (other.u - state.u)
+    out.p += ratio * (other.p - state.p)
+    out.normal_force += ratio * (other.normal_force - state.normal_force)
+    np.maximum(out.normal_force, 0.0, out=out.normal_force)
+    return out
+
+
 def follow(
     problem: LayerProblem,
     solver: LinearSolver,
     tolerances: Tolerances,
-    bound_guess: Array,
+    start: LayerState,
+    full: LayerState,
     control: StepControl | None = None,
     on_iteration: Callable[[float, int, Balance, int], None] | None = None,
+    target: float = 1.0,
 ) -> tuple[LayerState, LayerState, list[tuple[float, int]]]:
-    """Load the layer from rest to the full imprint.
+    """Load the layer from ``start`` to the load ``target``.
 
     Parameters
     ----------
-    bound_guess
-        Estimated contact forces at full load, (ny + 1, nx + 1), mN: a start for the first load.
+    start
+        A layer in equilibrium, its friction memory laid.
+    full
+        An estimate of the fully loaded layer, towards which the first step is begun.
 
     Returns
     -------
     tuple
-        The state at full load, the last accepted state before it (whose friction memory the final
-        step starts from), and the record of (load, Newton iterations).
+        The state at the target, the last state before it (whose friction memory the final step
+        starts from), and the record of (load, Newton iterations).
 
     Raises
     ------
     LoadNotReached
     """
     control = control or StepControl()
-    state = LayerState.unloaded(problem.grid)
-    before: LayerState | None = None
-    step = control.first
+    state = before = start
+    step = control.first if start.load == 0 else control.largest
     record: list[tuple[float, int]] = []
-    reason = ""
-    while state.load < 1.0:
-        load = min(1.0, state.load + step)
-        if 1.0 - load < 0.1 * step:
-            load = 1.0
-        trial = state.copy()
-        trial.load = load
-        if before is not None:
-            ratio = (load - state.load) / (state.load - before.load)
-            trial.u = state.u + ratio * (state.u - before.u)
-            trial.p = state.p + ratio * (state.p - before.p)
-            trial.normal_force = np.maximum(
-                0.0, state.normal_force + ratio * (state.normal_force - before.normal_force)
-            )
-        else:
-            trial.normal_force[:] = load * bound_guess
+    while state.load < target:
+        steps = np.ceil((target - state.load) / step - 1e-9)  # equal ones, not a small last one
+        load = target if steps == 1 else state.load + (target - state.load) / steps
+        trial = extrapolated(state, full if before is state else before, load)
 
         def report(iteration: int, now: Balance, krylov: int, load: float = load) -> None:
             if on_iteration:
@@ -89,16 +92,14 @@ def follow(
         try:
             iterations = equilibrate(problem, trial, solver, tolerances, report)
         except NotConverged as failure:
-            reason = str(failure)
             step = 0.5 * (load - state.load)
             if step < control.smallest:
-                raise LoadNotReached(state.load, reason) from None
+                raise LoadNotReached(state.load, str(failure)) from None
             continue
         record.append((load, iterations))
         if iterations <= control.easy:
             step = min(control.largest, 1.5 * step)
-        if load == 1.0:
-            return trial, state, record
-        remember_slip(problem, trial)
+        if load < target:
+            remember_slip(problem, trial)
         before, state = state, trial
-    raise AssertionError("unreachable")
+    return state, before, record
