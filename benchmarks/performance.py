@@ -15,6 +15,7 @@ import argparse
 import json
 import os
 import platform
+import re
 import resource
 import signal
 import subprocess
@@ -220,47 +221,36 @@ def run_sinusoid(threads: int | None, limit: float) -> dict:
 
 
 def run_start(folder: Path, threads: int | None) -> dict:
-    """How long a new process takes until it solves, with an empty and a filled kernel cache."""
-    found = {}
+    """How long the command takes until it solves, with an empty and with a filled kernel cache."""
+    from optical_palpation.thickness import write_thickness_map
+
+    write_thickness_map(loaded_thickness(FIELD), folder / "loaded.nc")
+    command = [sys.executable, "-c", "from optical_palpation.cli import main; main()", "stress"]
+    command += [str(folder / "loaded.nc"), "--output", str(folder / "stress.nc")]
+    command += f"--initial-thickness {THICKNESS} --c10 2.23 --c01 0.703".split()
+    command += ["--window-friction", "0.15", "--sample-friction", "0.05", "--element-size", "0.25"]
+    command += ["--threads", str(threads)] if threads else []
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache")}
+    found = {}
     for name in ("compiling", "compiled"):
-        start = time.time()
-        output = subprocess.run(
-            [sys.executable, __file__, "--child", "first iteration", str(folder)]
-            + (["--threads", str(threads)] if threads else []),
-            env=environment,
-            check=True,
-            capture_output=True,
-            text=True,
-        ).stdout
-        first, end = map(float, output.split()[-2:])
-        found[name] = {"first_iteration_s": first - start, "whole_s": end - start}
+        start = time.perf_counter()
+        solving, said_compiling = None, False
+        with subprocess.Popen(
+            command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        ) as run:
+            assert run.stderr is not None
+            for line in run.stderr:
+                said_compiling |= "compiling kernels" in line
+                if solving is None and re.match(r"[\d,]+ elements", line):
+                    solving = time.perf_counter() - start
+        if run.returncode or solving is None:
+            raise RuntimeError(f"the command ended with status {run.returncode}")
+        found[name] = {
+            "solving_s": solving,
+            "whole_s": time.perf_counter() - start,
+            "said_compiling": said_compiling,
+        }
     return found
-
-
-def print_first_iteration(threads: int | None) -> None:
-    """Solve a small case; print when its first Newton iteration began and when it ended."""
-    from optical_palpation.material import MooneyRivlin
-    from optical_palpation.palpation import computational_stress
-
-    first = None
-
-    def note(report) -> None:
-        nonlocal first
-        if first is None and report.load > 0:
-            first = time.time()
-
-    computational_stress(
-        loaded_thickness(FIELD),
-        THICKNESS,
-        MooneyRivlin(2.23, 0.703),
-        window_friction=0.15,
-        sample_friction=0.05,
-        element_size=0.25,
-        threads=threads,
-        progress=note,
-    )
-    print(first, time.time())
 
 
 def child(name: str, threads: int | None, limit: float, calculix_limit: float) -> dict:
@@ -345,9 +335,6 @@ def main() -> None:
     threads = arguments.threads
     if arguments.child:
         name, folder = arguments.child[0], Path(arguments.child[1])
-        if name == "first iteration":
-            print_first_iteration(threads)
-            return
         if name == "sinusoid":
             found = run_sinusoid(threads, arguments.calculix_limit)
         elif name == "start":

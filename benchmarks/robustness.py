@@ -216,7 +216,11 @@ def tables(outcomes: list[Outcome]) -> str:
         "holes": lambda c: "yes" if c.holes else "no",
         "edges": lambda c: c.edges,
         "compression": lambda c: _bin(c.compression, (0.15, 0.3, 0.4)),
-        "greater friction": lambda c: _bin(max(c.window_friction, c.sample_friction), (0.2, 0.35)),
+        "greater friction": lambda c: (
+            _bin(friction, (0.2, 0.35))
+            if (friction := max(c.window_friction, c.sample_friction)) > 0
+            else "none: may slide"
+        ),
         "K/mu": lambda c: _bin(c.bulk_to_shear, (100, 1000, 10000)),
         "unloaded layer": lambda c: "uneven" if c.uneven else "flat",
     }
@@ -226,7 +230,7 @@ def tables(outcomes: list[Outcome]) -> str:
             members = [o for o in outcomes if of(o.case) == value]
             count = Counter(o.kind for o in members)
             lines.append(
-                f"{name:18}{value:14}{len(members):6}" + "".join(f"{count[k]:18}" for k in kinds)
+                f"{name:17}{value:15}{len(members):6}" + "".join(f"{count[k]:18}" for k in kinds)
             )
     seconds = np.sort([o.seconds for o in outcomes])
     shares = ", ".join(f"{q} %: {np.percentile(seconds, q):.1f}" for q in (10, 50, 90, 99, 100))

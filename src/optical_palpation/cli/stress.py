@@ -112,7 +112,9 @@ def stress(
     deck: Annotated[
         Path | None, typer.Option(help="Also write the problem for Abaqus or CalculiX (.inp).")
     ] = None,
-    threads: Annotated[int | None, typer.Option(help="Number of threads.", min=1)] = None,
+    threads: Annotated[
+        int | None, typer.Option(help="Number of threads; all available cores by default.", min=1)
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
     """Compute the tactile stress behind a map of the loaded thickness of the layer."""
