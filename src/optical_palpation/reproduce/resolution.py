@@ -22,7 +22,7 @@ _SQUARE, _THICKNESS, _PRESSURE = 0.5, 0.5, 0.2  # mm, mm, kPa
 def resolution(setting: Setting) -> Part:
     """Edge response of both methods."""
     material = MooneyRivlin(2.23, 0.703)
-    size, field = (0.04, 1.2) if setting.quick else (0.01, 0.8)
+    size, field = (0.05, 1.0) if setting.quick else (0.01, 0.8)
     x = np.arange(0.0, field + 1e-9, 0.005)
     dip = _indentation(x - field / 2, _THICKNESS, material.shear_modulus)
     loaded = thickness_map(_THICKNESS - dip, x=x, y=x, where="square")
