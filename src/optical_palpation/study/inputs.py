@@ -81,6 +81,11 @@ def facts(study: Study, source: VolumeInput | MapInput) -> dict[str, Any]:
         }
 
 
+def parameters(study: Study) -> dict[str, Any]:
+    """Return all parameters with their defaults; those of both volumes stand with each of them."""
+    return study.model_dump(mode="json", exclude_none=True, exclude={"volumes"})
+
+
 def by_side(study: Study) -> Mapping[str, VolumeInput]:
     """The volumes of a study, by ``unloaded`` and ``loaded``."""
     return {side: it for side, it in study.inputs.items() if isinstance(it, VolumeInput)}

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from optical_palpation.errors import InputError
-from optical_palpation.study.inputs import facts
+from optical_palpation.study.inputs import facts, parameters
 from optical_palpation.study.record import Progress, make_all
 from optical_palpation.study.schema import Study
 from optical_palpation.study.stages import Stages
@@ -76,7 +76,7 @@ def run_study(
             raise InputError(f"{study.file}, [{side}]: {error}") from error
     about = {
         "study_sha256": hashlib.sha256(study.file.read_bytes()).hexdigest(),
-        "parameters": study.model_dump(mode="json"),
+        "parameters": parameters(study),
         "inputs": inputs,
     }
     stages = Stages(study).plan(inputs, thickness_only)

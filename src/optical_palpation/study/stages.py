@@ -20,7 +20,7 @@ from optical_palpation import present
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import algebraic_result, computational_stress
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.study.inputs import by_side, find_boundaries, finding, open_input
+from optical_palpation.study.inputs import by_side, find_boundaries, finding, open_input, parameters
 from optical_palpation.study.record import Progress, Stage, Tell
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
 from optical_palpation.study.script import reproducing_lines
@@ -77,7 +77,8 @@ class Stages:
             Stage(ALGEBRAIC, {"material": tables["material"]}, [THICKNESS], self._algebraic)
         )
         stages.append(Stage(STRESS, tables, [THICKNESS], self._computational))
-        everything = study.model_dump(mode="json", exclude={"outputs"})
+        everything = parameters(study)
+        del everything["outputs"]
         makers = {
             "panel": Stage("stress.png", {}, [STRESS], _from_result(present.write_panel)),
             "vtk": Stage("layer.vts", {}, [STRESS], _from_result(present.write_vtk)),
@@ -235,7 +236,7 @@ class Stages:
                 result,
                 **layers,
                 volumes=volumes or None,
-                parameters=self.study.model_dump(mode="json", exclude_none=True),
+                parameters=parameters(self.study),
                 python=reproducing_lines(self.study),
                 title=self.study.title or self.study.file.stem,
                 warnings=warnings_about(result),
