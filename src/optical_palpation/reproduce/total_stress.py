@@ -95,8 +95,8 @@ def total_stress(setting: Setting) -> Part:
                 claim,
                 f"{_computed(r)}; algebraic {r['algebraic']:.1f}",
                 f"computational {_percent(r['computational'] / expected - 1)}, algebraic "
-                f"{_percent(r['algebraic'] / expected - 1)}; compressed by {r['strain']:.0%} (paper: "
-                f"{'10 to 20' if r['load'] < 1000 else 'up to more than 50'} %)",
+                f"{_percent(r['algebraic'] / expected - 1)}; compressed by {r['strain']:.0%} "
+                f"(paper: {'10 to 20' if r['load'] < 1000 else 'up to more than 50'} %)",
             )
         )
     return part
