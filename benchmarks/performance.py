@@ -142,9 +142,12 @@ def warm_up(threads: int | None, solver: str = "auto") -> None:
 
 def run_case(name: str, folder: Path, threads: int | None) -> dict:
     """Measure one case in this process, kernels compiled."""
+    from optical_palpation.palpation.memory import predicted_memory
+
     case = CASES[name]
     warm_up(threads, case.solver)
     loaded = loaded_thickness(case.field)
+    held = psutil.Process().memory_info().rss
     plain = None
     if not case.huge:
         start = time.perf_counter()
@@ -175,6 +178,7 @@ def run_case(name: str, folder: Path, threads: int | None) -> dict:
         "krylov_largest": max(probe.krylov_each, default=0),
         "krylov_slow_share": float(np.mean([k >= 10 for k in probe.krylov_each] or [0])),
         "peak_bytes": peak or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
+        "predicted_bytes": held + predicted_memory((nz, ny, nx), case.solver),
         "shares": {phase: s / watched for phase, s in probe.seconds.items()},
         "bytes_moved": probe.bytes_moved,
         "force_mN": result.maps.attrs["sample_force_mN"],

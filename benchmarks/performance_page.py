@@ -8,9 +8,11 @@ HEAD = """\
 # Performance
 
 Written by the benchmark itself; `python benchmarks/performance.py` measures everything but the
-largest case, `python benchmarks/performance.py --huge` that one. Loaded thickness: {map}; layer
-0.5 mm thick, C10 2.23 kPa, C01 0.703 kPa, K/mu 1e4, friction 0.15 at the window and 0.05 at the
-sample, free edges.
+largest case, `python benchmarks/performance.py --huge` that one.
+
+Loaded thickness: {map}. Layer 0.5 mm thick,
+C10 2.23 kPa, C01 0.703 kPa, K/mu 1e4, friction 0.15 at the window and 0.05 at the sample, free
+edges.
 
 {machines}
 """
@@ -26,8 +28,9 @@ Elements: the outermost ones of free edges are finer, so that there are somewhat
 nominal number. Unknowns: three displacements per node and a pressure per element. Seconds: wall
 clock of `computational_stress`, all of it, kernels compiled. Newton iterations: on all grids of the
 cascade, and on the finest. Krylov iterations: in all linear solves together, and in the longest
-(each to a relative residual of 1e-2). Peak memory: of the whole process (resident set). The floor
-is the time in which the machine's memory could pass every array that a parallel kernel reads or
+(each to a relative residual of 1e-2). Peak memory: of the whole process (resident set);
+predicted is what the check before a run says, and what the process held before. The floor is the
+time in which the machine's memory could pass every array that a parallel kernel reads or
 writes just once per call, {bandwidth} GB/s at the best of five triads; small grids live in the
 caches and may be faster.
 """
@@ -102,7 +105,8 @@ def _state(found: dict | None) -> str:
 def _sizes(cases: dict, record: dict) -> str:
     head = [
         "case", "elements", "unknowns", "seconds", "aim", "floor, s", "s per million unknowns",
-        "Newton: all, finest", "Krylov: all, longest", "peak memory, GB", "aim",
+        "Newton: all, finest", "Krylov: all, longest", "peak memory, GB",
+        "predicted, GB", "aim",
     ]  # fmt: skip
     rows = []
     for name, case in cases.items():
@@ -110,7 +114,7 @@ def _sizes(cases: dict, record: dict) -> str:
         aim = f"{case.seconds:g}"
         memory = f"{case.gigabytes:g}" if case.gigabytes else ""
         if found is None or "failed" in found:
-            rows.append([case.text, name, "", _state(found), aim, *[""] * 5, memory])
+            rows.append([case.text, name, "", _state(found), aim, *[""] * 6, memory])
             continue
         rows.append(
             [
@@ -124,6 +128,7 @@ def _sizes(cases: dict, record: dict) -> str:
                 f"{found['newton']}, {found['newton_finest']}",
                 f"{found['krylov']}, {found['krylov_largest']}",
                 f"{found['peak_bytes'] / 1e9:.2f}",
+                f"{found['predicted_bytes'] / 1e9:.2f}",
                 memory,
             ]
         )
@@ -172,9 +177,9 @@ def _references(cases: dict, record: dict) -> str:
             ]
         )
     text = (
-        "Contact pressure of the case by the default way less that of the other, relative L2, and "
-        "total force. Without the cascade the load path is followed on the grid itself; friction "
-        "depends on the path.\n"
+        "Contact pressure of the case by the default way less that of the other, relative L2, and\n"
+        "total force likewise. Without the cascade the load path is followed on the grid itself;\n"
+        "friction depends on the path.\n"
     )
     head = ["case", "seconds", "peak memory, GB", "contact pressure", "force"]
     return text + "\n" + _table(head, rows)
@@ -194,7 +199,7 @@ def _calculix(found: dict | None) -> str:
         if (f := found.get(n))
     ]
     text = (
-        "Sinusoidal imprint of 5 x 5 mm, K/mu 100 in both, friction 0.3 and 0.05, the same number "
+        "Sinusoidal imprint of 5 x 5 mm, K/mu 100 in both, friction 0.3 and 0.05, the same number\n"
         f"of threads ({found['machine']['threads']}).\n\n"
         + _table(["code", "elements", "seconds", "force, mN"], rows)
     )
@@ -213,7 +218,7 @@ def _start(found: dict | None) -> str:
     compiling, compiled = found["compiling"], found["compiled"]
     return (
         f"The command begins to solve {compiled['solving_s']:.1f} s after it was called (aim: 2). "
-        f"Where no compiled kernels are kept yet, a run with 250 um elements takes "
+        f"Where no compiled\nkernels are kept yet, a run with 250 um elements takes "
         f"{compiling['whole_s']:.0f} s instead of {compiled['whole_s']:.0f}: "
         f"{compiling['whole_s'] - compiled['whole_s']:.0f} s of compilation (aim: 40).\n"
     )
