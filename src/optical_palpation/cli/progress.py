@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     Report = OfStress | OfStudy
 
 _LOAD_STEP = 0.1
+# Of a stage; before that its first steps, which compile and read, say nothing about the rest.
+_LOAD_KNOWN = 0.05
 _SILENCE = 10.0
 
 
@@ -114,7 +116,7 @@ class ProgressDisplay:
         if report.stage != self._stage[0]:
             self._stage = (report.stage, report.load, now)
         _, load, start = self._stage
-        if not load < report.load < 1:
+        if report.load >= 1 or report.load - load < _LOAD_KNOWN:
             return ""
         seconds = (now - start) * (1 - report.load) / (report.load - load)
         text = f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
