@@ -17,16 +17,23 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.mechanics.elements import (
-    GRADIENTS,
-    LANES,
-    _add_stiffness,
-    _elasticity,
-    _gather,
-    _isochoric_stress,
-    _kinematics,
-)
+from optical_palpation.mechanics.elements import GRADIENTS
 from optical_palpation.mechanics.grid import LayerGrid
+from optical_palpation.mechanics.lanes import (
+    DET,
+    GRAD,
+    JAC,
+    KE,
+    PRESSURE,
+    ROWS,
+    TAU,
+    add_stiffness,
+    elasticity,
+    gather,
+    isochoric_stress,
+    kinematics,
+)
+from optical_palpation.mechanics.lanes import L as LANES
 
 Array = NDArray[np.float64]
 
@@ -147,6 +154,18 @@ class BodyForces:
     min_jacobian: float
 
 
+@nb.njit
+def _views(w):
+    """Shape gradients, stress, reference determinant and J in the work array of the lanes."""
+    grad, tau = w[GRAD : GRAD + 24 * LANES], w[TAU : TAU + 6 * LANES]
+    return (
+        grad.reshape(8, 3, LANES),
+        tau.reshape(6, LANES),
+        w[DET : DET + LANES],
+        w[JAC : JAC + LANES],
+    )
+
+
 @nb.njit(parallel=True, cache=True)
 def _forces(nodes, u, p, stiffness, c10, c01, dn, force, volume, reference, jacobian):
     nz, ny, nx = p.shape
@@ -156,22 +175,17 @@ def _forces(nodes, u, p, stiffness, c10, c01, dn, force, volume, reference, jaco
         nk, nj = (nz - k0 + 1) // 2, (ny - j0 + 1) // 2
         for row in nb.prange(nk * nj):
             k, j = k0 + 2 * (row // nj), j0 + 2 * (row % nj)
-            ref, cur, grad = (
-                np.empty((8, 3, LANES)),
-                np.empty((8, 3, LANES)),
-                np.empty((8, 3, LANES)),
-            )
-            b, tau = np.empty((6, LANES)), np.empty((6, LANES))
-            trace, det, jac = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+            w = np.empty(ROWS * LANES)
+            grad, tau, det, jac = _views(w)
             smallest = 1e30
             for i0 in range(0, nx, LANES):
                 n = min(LANES, nx - i0)
-                _gather(nodes, u, k, j, i0, nx, ref, cur)
+                gather(nodes, u, k, j, i0, nx, w)
                 volume[k, j, i0 : i0 + n] = 0
                 reference[k, j, i0 : i0 + n] = 0
                 for g in range(8):
-                    _kinematics(dn[g], ref, cur, grad, b, det, jac)
-                    _isochoric_stress(b, jac, c10, c01, tau, trace)
+                    kinematics(dn[g], w)
+                    isochoric_stress(c10, c01, w)
                     for l in range(n):
                         e = i0 + l
                         smallest = min(smallest, jac[l])
@@ -209,19 +223,14 @@ def _tangent(nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence):
         nk, nj = (nz - k0 + 1) // 2, (ny - j0 + 1) // 2
         for row in nb.prange(nk * nj):
             k, j = k0 + 2 * (row // nj), j0 + 2 * (row % nj)
-            ref, cur, grad = (
-                np.empty((8, 3, LANES)),
-                np.empty((8, 3, LANES)),
-                np.empty((8, 3, LANES)),
-            )
-            b, tau = np.empty((6, LANES)), np.empty((6, LANES))
-            trace, det, jac = np.empty(LANES), np.empty(LANES), np.empty(LANES)
-            factor, pe, v0 = np.empty(LANES), np.empty(LANES), np.empty(LANES)
-            cc, ke = np.empty((21, LANES)), np.empty((36, 9, LANES))
+            w = np.empty(ROWS * LANES)
+            grad, tau, det, jac = _views(w)
+            pe, ke = w[PRESSURE : PRESSURE + LANES], w[KE:].reshape(64, 9, LANES)
+            factor, v0 = np.empty(LANES), np.empty(LANES)
             be = np.empty((24, LANES))
             for i0 in range(0, nx, LANES):
                 n = min(LANES, nx - i0)
-                _gather(nodes, u, k, j, i0, nx, ref, cur)
+                gather(nodes, u, k, j, i0, nx, w)
                 for l in range(LANES):
                     e = min(i0 + l, nx - 1)
                     factor[l] = stiffness[k, j, e]
@@ -230,8 +239,8 @@ def _tangent(nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence):
                 ke[:] = 0
                 be[:] = 0
                 for g in range(8):
-                    _kinematics(dn[g], ref, cur, grad, b, det, jac)
-                    _isochoric_stress(b, jac, c10, c01, tau, trace)
+                    kinematics(dn[g], w)
+                    isochoric_stress(c10, c01, w)
                     for a in range(8):
                         for c in range(3):
                             for l in range(LANES):
@@ -239,13 +248,13 @@ def _tangent(nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence):
                     for l in range(LANES):
                         v0[l] += det[l]
                         det[l] *= factor[l]
-                    _elasticity(b, tau, trace, jac, pe, det, c01, cc)
+                    elasticity(c01, w)
                     for l in range(LANES):
                         for c in range(3):
                             tau[c, l] += pe[l] * jac[l]
                         for c in range(6):
                             tau[c, l] *= det[l]
-                    _add_stiffness(grad, cc, tau, ke)
+                    add_stiffness(w)
                 for l in range(LANES):
                     v0[l] = bulk * factor[l] / v0[l]
                 for q in range(24):
@@ -259,9 +268,9 @@ def _tangent(nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence):
                         for c in range(3):
                             for d in range(3):
                                 if bb <= a:
-                                    block, cd = a * (a + 1) // 2 + bb, 3 * c + d
+                                    block, cd = 8 * a + bb, 3 * c + d
                                 else:
-                                    block, cd = bb * (bb + 1) // 2 + a, 3 * d + c
+                                    block, cd = 8 * bb + a, 3 * d + c
                                 for l in range(n):
                                     stencil[kk, jj, di + l, m, c, d] += (
                                         ke[block, cd, l]
@@ -274,18 +283,17 @@ def _stress(nodes, u, p, stiffness, c10, c01, dn, stress):
     nz, ny, nx = p.shape
     for row in nb.prange(nz * ny):
         k, j = row // ny, row % ny
-        ref, cur, grad = np.empty((8, 3, LANES)), np.empty((8, 3, LANES)), np.empty((8, 3, LANES))
-        b, tau = np.empty((6, LANES)), np.empty((6, LANES))
-        trace, det, jac = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+        w = np.empty(ROWS * LANES)
+        _, tau, det, jac = _views(w)
         volume = np.empty(LANES)
         for i0 in range(0, nx, LANES):
             n = min(LANES, nx - i0)
-            _gather(nodes, u, k, j, i0, nx, ref, cur)
+            gather(nodes, u, k, j, i0, nx, w)
             volume[:] = 0
             stress[:, k, j, i0 : i0 + n] = 0
             for g in range(8):
-                _kinematics(dn[g], ref, cur, grad, b, det, jac)
-                _isochoric_stress(b, jac, c10, c01, tau, trace)
+                kinematics(dn[g], w)
+                isochoric_stress(c10, c01, w)
                 for l in range(n):
                     volume[l] += det[l] * jac[l]
                     for c in range(6):

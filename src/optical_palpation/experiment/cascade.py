@@ -13,9 +13,11 @@ from optical_palpation.experiment.contact import ContactState
 from optical_palpation.experiment.equilibrium import (
     Assembly,
     Balance,
+    LoadNotReached,
     NotConverged,
     Path,
     State,
+    StepControl,
     equilibrate,
     follow,
 )
@@ -26,8 +28,8 @@ Report = Callable[[Assembly, float, Balance], None]
 
 #: Factor by which friction is softened while a solution changes meshes.
 _CHANGE_OF_MESH = 20.0
-#: Newton iterations after which the change of meshes gives way to the path on the finer mesh.
-_PATIENCE = 16
+#: Newton iterations after which a step on a finer mesh is halved.
+_PATIENCE = 14
 
 
 def solve(levels: list[Assembly], report: Report | None = None) -> Path:
@@ -50,7 +52,7 @@ def solve(levels: list[Assembly], report: Report | None = None) -> Path:
                 try:
                     path = _refined(path, levels[n - 1], level, solver, on_iteration)
                     continue
-                except NotConverged:
+                except (NotConverged, LoadNotReached):
                     pass
             record = path.record if path is not None else []
             path = follow(level, at_rest(level), column_forces(level), solver, on_iteration)
@@ -78,13 +80,15 @@ def _refined(
         previous, count = equilibrate(soft, previous, solver, on_iteration, _PATIENCE)
         previous = _anchored(previous, fine)
         record.append((fine.n_elements, previous.load, count))
-    start = replace(previous, load=1.0).moved(
-        previous.u + step_u,
-        tuple(p + d for p, d in zip(previous.p, step_p, strict=True)),
-        state.forces,
+    # extrapolated from here the next step is that of the coarse mesh
+    before = replace(previous, load=2 * previous.load - 1.0).moved(
+        previous.u - step_u,
+        tuple(p - d for p, d in zip(previous.p, step_p, strict=True)),
+        tuple(2 * n - m for n, m in zip(previous.forces, state.forces, strict=True)),
     )
-    reached, count = equilibrate(fine, start, solver, on_iteration, _PATIENCE)
-    return Path(reached, previous, [*record, (fine.n_elements, 1.0, count)])
+    control = StepControl(first=1.0 - previous.load, iterations=_PATIENCE)
+    rest = follow(fine, previous, column_forces(fine), solver, on_iteration, control, before)
+    return Path(rest.state, rest.previous, record + rest.record)
 
 
 def _prolonged(state: State, coarse: Assembly, fine: Assembly) -> State:

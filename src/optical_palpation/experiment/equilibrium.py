@@ -28,11 +28,12 @@ WINDOW, INTERFACE, PLATE = 0, 1, 2
 
 #: Smoothing of contact, as a pressure in units of the shear modulus: at first, and in the end.
 _SMOOTHING = (3e-2, 1e-3)
-_ITERATIONS = 25
 #: When the full load is reached: out-of-balance forces relative to contact forces, violation of
 #: J - 1. Loads on the way to it are reached sooner by ``_ON_THE_WAY``.
 _FORCE, _VOLUME = 1e-5, 1e-6
 _ON_THE_WAY = 30.0
+#: Out-of-balance forces below which the tangent hardly changes any more.
+_NEAR = 3e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +205,7 @@ def newton_step(
     # a trace of stiffness in the tangent alone holds what nothing else holds yet
     hold = 1e-6 * assembly.shear_modulus * assembly.bodies[LAYER].grid.spacing()[2]
     matrix = matrix.tocsr() + hold * sp.identity(matrix.shape[0], format="csr")
-    du = solver.solve(matrix, -residual.ravel()).reshape(-1, 3)
+    du = solver.solve(matrix, -residual.ravel(), now.force_error < _NEAR).reshape(-1, 3)
     dp = [
         bulk * (_gather(divergence, u) + part.volume_residual)
         for bulk, divergence, u, part in zip(
@@ -250,7 +251,7 @@ def equilibrate(
     state: State,
     solver: LinearSolver,
     on_iteration: Callable[[float, Balance], None] | None = None,
-    iterations: int = _ITERATIONS,
+    iterations: int = 25,
 ) -> tuple[State, int]:
     """Return the state in equilibrium at its load, and the number of Newton iterations.
 
@@ -308,6 +309,8 @@ class StepControl:
     largest: float = 0.25
     smallest: float = 2e-3
     easy: int = 8
+    #: Newton iterations after which a load counts as not reached.
+    iterations: int = 25
     #: The last one is repeated on finer meshes: the smaller, the surer.
     last: float = 0.1
 
@@ -328,17 +331,19 @@ def follow(
     solver: LinearSolver,
     on_iteration: Callable[[float, Balance], None] | None = None,
     control: StepControl | None = None,
+    before: State | None = None,
 ) -> Path:
-    """Compress from rest to the full travel of the plate.
+    """Compress from ``start`` to the full travel of the plate.
 
-    ``guess``: estimated contact forces at full load, a start for the first step.
+    The first step is extrapolated from ``before`` if given; otherwise ``guess``, estimated contact
+    forces at full load, starts it.
 
     Raises
     ------
     LoadNotReached
     """
     control = control or StepControl()
-    state, before = start, None
+    state = start
     step, record = control.first, []
     while True:
         load = min(1.0, state.load + step)
@@ -362,7 +367,7 @@ def follow(
             u[assembly.bodies[LAYER].n_nodes :, 2] -= load * assembly.compression
             trial = trial.moved(u, state.p, tuple(load * force for force in guess))
         try:
-            reached, count = equilibrate(assembly, trial, solver, on_iteration)
+            reached, count = equilibrate(assembly, trial, solver, on_iteration, control.iterations)
         except NotConverged as failure:
             step = 0.5 * (load - state.load)
             if step < control.smallest:

@@ -31,9 +31,9 @@ class LinearSolver:
     def __exit__(self, *_: object) -> None:
         self._release()
 
-    def solve(self, matrix: sp.csr_matrix, rhs: Array) -> Array:
-        """Solve one system."""
-        if self._factors is not None and self._size == rhs.size:
+    def solve(self, matrix: sp.csr_matrix, rhs: Array, similar: bool = False) -> Array:
+        """Solve one system; ``similar`` ones are tried with the factors of the last."""
+        if similar and self._factors is not None and self._size == rhs.size:
             operator = LinearOperator(matrix.shape, matvec=self._apply, dtype=float)
             start = np.linalg.norm(rhs)
             solution, failed = gmres(
