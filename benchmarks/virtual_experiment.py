@@ -1,0 +1,112 @@
+"""The paper's virtual experiments (figures 3, 5): time, published thickness, recovered stress.
+
+python benchmarks/virtual_experiment.py [SCENE ...] [--threads N] [--element-size MM]
+
+The published loaded thickness of the sinusoid is read from ../shared/data if it is there. The
+stress is recovered from the thickness without and with 1 um of noise per pixel, on elements 0.8
+times as large as those of the experiment.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+
+from optical_palpation.errors import ConvergenceError
+from optical_palpation.experiment import ExperimentResult, read_scene, run_experiment
+from optical_palpation.experiment.recovery import recovered_stress, recovery_errors
+from optical_palpation.experiment.scene import with_element_size
+from optical_palpation.present.experiment import write_experiment, write_experiment_figure
+
+PUBLISHED = Path(__file__).parents[1] / "../shared/data/layers/sinusoid_simulated_L1.npz"
+
+
+def against_published(result: ExperimentResult) -> dict[str, float]:
+    """Loaded thickness less the published one, um, 0.5 mm and more from the sides."""
+    thickness = result.maps["loaded_thickness"]
+    x, y = thickness["x"].values, thickness["y"].values
+    data = np.load(PUBLISHED)
+    published = RectBivariateSpline(data["y_mm"], data["x_mm"], data["L1_mm"])(y, x)
+    inner = np.ix_((y > 0.499) & (y < 4.501), (x > 0.499) & (x < 4.501))
+    ours, theirs = 1e3 * thickness.values[inner], 1e3 * published[inner]
+    turns = []
+    for ours_row, theirs_row in zip(ours, theirs, strict=True):
+        for sign in (1, -1):
+            # each peak and valley of one map against the nearest of the other
+            for i in _peaks(sign * ours_row):
+                near = sign * theirs_row[max(0, i - 8) : i + 9]
+                turns.append(sign * ours_row[i] - near.max())
+    difference = ours - theirs
+    return {
+        "rms": float(np.sqrt(np.mean(difference**2))),
+        "bias": float(difference.mean()),
+        "largest": float(np.abs(difference).max()),
+        "peaks and valleys": float(np.abs(turns).max()),
+    }
+
+
+def _peaks(row: np.ndarray) -> np.ndarray:
+    inside = np.arange(9, row.size - 9)
+    return inside[(row[inside] > row[inside - 1]) & (row[inside] >= row[inside + 1])]
+
+
+def main() -> None:
+    """Run the scenes and print what they show."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", nargs="*", default=["sinusoid", "soft_stiff_columns"])
+    parser.add_argument("--threads", type=int)
+    parser.add_argument("--element-size", type=float)
+    parser.add_argument("--output", type=Path, help="folder for results and figures")
+    options = parser.parse_args()
+    for name in options.scenes:
+        scene = read_scene(name)
+        if options.element_size:
+            scene = with_element_size(scene, options.element_size)
+        start, used = time.perf_counter(), time.process_time()
+        result = run_experiment(scene, threads=options.threads)
+        attrs = result.maps.attrs
+        print(f"{name}: elements {attrs['elements']}, {attrs['newton_iterations']} iterations")
+        print(f"  {time.perf_counter() - start:.0f} s, {time.process_time() - used:.0f} s of cores")
+        print(f"  force {attrs['window_force_mN']:.2f} mN, balance {attrs['force_balance']:.1e}")
+        print(f"  {attrs['convergence']}", flush=True)
+        if options.output:
+            options.output.mkdir(parents=True, exist_ok=True)
+            write_experiment(result, options.output / f"{name}.nc")
+        if name == "sinusoid" and PUBLISHED.is_file():
+            numbers = against_published(result)
+            print("  against the published thickness, um:", end=" ")
+            print(", ".join(f"{key} {value:.2f}" for key, value in numbers.items()))
+        recovered = None
+        for noise in (0.0, 1e-3):
+            start = time.perf_counter()
+            try:
+                recovered = recovered_stress(
+                    result,
+                    element_size=0.8 * scene.mesh.element_size,
+                    noise=noise,
+                    threads=options.threads,
+                )
+            except ConvergenceError as failure:
+                print(f"  recovery with noise of {1e3 * noise:g} um: {failure}")
+                continue
+            errors = recovery_errors(result, recovered)
+            print(f"  recovered, noise {1e3 * noise:g} um, {time.perf_counter() - start:.0f} s:")
+            for method in ("algebraic", "computational"):
+                row = errors.sel(method=method)
+                print(
+                    f"    {method:14} relative rms "
+                    + ", ".join(
+                        f"{zone} {100 * float(row['relative_rms'].sel(zone=zone)):.1f} %"
+                        for zone in ("interior", "edge", "all")
+                    ),
+                    flush=True,
+                )
+        if options.output:
+            picture = options.output / f"{name}.png"
+            write_experiment_figure(result, picture, recovered)
+
+
+if __name__ == "__main__":
+    main()
