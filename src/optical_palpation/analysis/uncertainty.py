@@ -73,8 +73,7 @@ def propagate_uncertainty(
     Parameters
     ----------
     solve
-        Called with `values`, one of them changed, as keyword arguments. To make extra solves
-        cheap, let it start from `nominal`.
+        Called with `values`, one of them changed, as keyword arguments.
     values
         Names and values of the uncertain inputs: numbers, or maps (``DataArray``).
     errors
