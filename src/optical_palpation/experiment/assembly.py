@@ -10,7 +10,14 @@ from scipy.interpolate import RegularGridInterpolator
 from optical_palpation.errors import InputError
 from optical_palpation.experiment.bodies import Body
 from optical_palpation.experiment.contact import ContactState, Interface, Plane
-from optical_palpation.experiment.equilibrium import INTERFACE, LAYER, SAMPLE, Assembly, State
+from optical_palpation.experiment.equilibrium import (
+    INTERFACE,
+    LAYER,
+    SAMPLE,
+    SIDES,
+    Assembly,
+    State,
+)
 from optical_palpation.experiment.scene import Scene, map_height, volume_factor
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 
@@ -78,6 +85,8 @@ def build(
         (slave, (bodies_sample.nodes[:, 0] if side > 0 else bodies_layer.nodes[:, -1])),
         (sample_grid, bodies_sample.nodes[:, -1]),
     )
+    sides = number[layer_grid.side_nodes]
+    patch = layer_grid.spacing()[0] * layer_grid.spacing()[2]
     window, interface, base = (grid.surface_areas(nodes).ravel() for grid, nodes in surfaces)
     return Assembly(
         bodies=(bodies_layer, bodies_sample),
@@ -85,9 +94,10 @@ def build(
             Plane(number[0].ravel(), -1.0, friction.window),
             Interface(faces[0], faces[1], friction.sample, side, start, master.spacing()[2]),
             Plane(below[-1].ravel(), 1.0, friction.plate),
+            Plane(sides, -1.0, 0.0),
         ),
         slave_grids=(layer_grid, slave, sample_grid),
-        areas=(window, interface, base),
+        areas=(window, interface, base, np.full(sides.size, patch)),
         plate=float(plate),
         compression=scene.compression,
         slip_length=2e-3 * layer.thickness,
@@ -112,7 +122,7 @@ def at_rest(assembly: Assembly) -> State:
     )
 
 
-def column_forces(assembly: Assembly) -> tuple[Array, Array, Array]:
+def column_forces(assembly: Assembly) -> tuple[Array, ...]:
     """Contact forces at full load if every column of layer and sample were a spring of its own."""
     layer, sample = assembly.bodies
     thickness = layer.grid.thickness[0, 0]
@@ -127,12 +137,12 @@ def column_forces(assembly: Assembly) -> tuple[Array, Array, Array]:
         (sample.grid.y, sample.grid.x), pressure, "nearest", bounds_error=False, fill_value=0.0
     )
     on_layer = on_sample(np.stack(np.meshgrid(layer.grid.y, layer.grid.x, indexing="ij"), -1))
-    of_slaves = on_layer if assembly.contacts[INTERFACE].side < 0 else pressure
-    window, interface, plate = (
+    of_slaves = on_layer if assembly.slave_grids[INTERFACE] is layer.grid else pressure
+    sides = np.zeros_like(assembly.areas[SIDES])
+    return tuple(
         p.ravel() * area
-        for p, area in zip((on_layer, of_slaves, pressure), assembly.areas, strict=True)
+        for p, area in zip((on_layer, of_slaves, pressure, sides), assembly.areas, strict=True)
     )
-    return window, interface, plate
 
 
 def _lateral(

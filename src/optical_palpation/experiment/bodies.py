@@ -186,29 +186,29 @@ def _forces(nodes, u, p, stiffness, c10, c01, dn, force, volume, reference, jaco
                 for g in range(8):
                     kinematics(dn[g], w)
                     isochoric_stress(c10, c01, w)
-                    for l in range(n):
-                        e = i0 + l
-                        smallest = min(smallest, jac[l])
-                        reference[k, j, e] += det[l]
-                        volume[k, j, e] += det[l] * jac[l]
-                        shear = det[l] * stiffness[k, j, e]
-                        hydrostatic = det[l] * jac[l] * p[k, j, e]
+                    for i in range(n):
+                        e = i0 + i
+                        smallest = min(smallest, jac[i])
+                        reference[k, j, e] += det[i]
+                        volume[k, j, e] += det[i] * jac[i]
+                        shear = det[i] * stiffness[k, j, e]
+                        hydrostatic = det[i] * jac[i] * p[k, j, e]
                         for c in range(6):
-                            tau[c, l] *= shear
+                            tau[c, i] *= shear
                         for c in range(3):
-                            tau[c, l] += hydrostatic
+                            tau[c, i] += hydrostatic
                     for a in range(8):
                         kk, jj, di = k + (a >> 2), j + ((a >> 1) & 1), i0 + (a & 1)
-                        for l in range(n):
-                            g0, g1, g2 = grad[a, 0, l], grad[a, 1, l], grad[a, 2, l]
-                            force[0, kk, jj, di + l] += (
-                                tau[0, l] * g0 + tau[5, l] * g1 + tau[4, l] * g2
+                        for i in range(n):
+                            g0, g1, g2 = grad[a, 0, i], grad[a, 1, i], grad[a, 2, i]
+                            force[0, kk, jj, di + i] += (
+                                tau[0, i] * g0 + tau[5, i] * g1 + tau[4, i] * g2
                             )
-                            force[1, kk, jj, di + l] += (
-                                tau[5, l] * g0 + tau[1, l] * g1 + tau[3, l] * g2
+                            force[1, kk, jj, di + i] += (
+                                tau[5, i] * g0 + tau[1, i] * g1 + tau[3, i] * g2
                             )
-                            force[2, kk, jj, di + l] += (
-                                tau[4, l] * g0 + tau[3, l] * g1 + tau[2, l] * g2
+                            force[2, kk, jj, di + i] += (
+                                tau[4, i] * g0 + tau[3, i] * g1 + tau[2, i] * g2
                             )
             jacobian[k, j] = smallest
 
@@ -231,10 +231,10 @@ def _tangent(nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence):
             for i0 in range(0, nx, LANES):
                 n = min(LANES, nx - i0)
                 gather(nodes, u, k, j, i0, nx, w)
-                for l in range(LANES):
-                    e = min(i0 + l, nx - 1)
-                    factor[l] = stiffness[k, j, e]
-                    pe[l] = p[k, j, e] / factor[l]
+                for i in range(LANES):
+                    e = min(i0 + i, nx - 1)
+                    factor[i] = stiffness[k, j, e]
+                    pe[i] = p[k, j, e] / factor[i]
                 v0[:] = 0
                 ke[:] = 0
                 be[:] = 0
@@ -243,23 +243,23 @@ def _tangent(nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence):
                     isochoric_stress(c10, c01, w)
                     for a in range(8):
                         for c in range(3):
-                            for l in range(LANES):
-                                be[3 * a + c, l] += grad[a, c, l] * jac[l] * det[l]
-                    for l in range(LANES):
-                        v0[l] += det[l]
-                        det[l] *= factor[l]
+                            for i in range(LANES):
+                                be[3 * a + c, i] += grad[a, c, i] * jac[i] * det[i]
+                    for i in range(LANES):
+                        v0[i] += det[i]
+                        det[i] *= factor[i]
                     elasticity(c01, w)
-                    for l in range(LANES):
+                    for i in range(LANES):
                         for c in range(3):
-                            tau[c, l] += pe[l] * jac[l]
+                            tau[c, i] += pe[i] * jac[i]
                         for c in range(6):
-                            tau[c, l] *= det[l]
+                            tau[c, i] *= det[i]
                     add_stiffness(w)
-                for l in range(LANES):
-                    v0[l] = bulk * factor[l] / v0[l]
+                for i in range(LANES):
+                    v0[i] = bulk * factor[i] / v0[i]
                 for q in range(24):
-                    for l in range(n):
-                        divergence[k, j, q, i0 + l] = be[q, l]
+                    for i in range(n):
+                        divergence[k, j, q, i0 + i] = be[q, i]
                 for a in range(8):
                     kk, jj, di = k + (a >> 2), j + ((a >> 1) & 1), i0 + (a & 1)
                     for bb in range(8):
@@ -271,10 +271,10 @@ def _tangent(nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence):
                                     block, cd = 8 * a + bb, 3 * c + d
                                 else:
                                     block, cd = 8 * bb + a, 3 * d + c
-                                for l in range(n):
-                                    stencil[kk, jj, di + l, m, c, d] += (
-                                        ke[block, cd, l]
-                                        + v0[l] * be[3 * a + c, l] * be[3 * bb + d, l]
+                                for i in range(n):
+                                    stencil[kk, jj, di + i, m, c, d] += (
+                                        ke[block, cd, i]
+                                        + v0[i] * be[3 * a + c, i] * be[3 * bb + d, i]
                                     )
 
 
@@ -294,12 +294,12 @@ def _stress(nodes, u, p, stiffness, c10, c01, dn, stress):
             for g in range(8):
                 kinematics(dn[g], w)
                 isochoric_stress(c10, c01, w)
-                for l in range(n):
-                    volume[l] += det[l] * jac[l]
+                for i in range(n):
+                    volume[i] += det[i] * jac[i]
                     for c in range(6):
-                        stress[c, k, j, i0 + l] += tau[c, l] * det[l] * stiffness[k, j, i0 + l]
-            for l in range(n):
+                        stress[c, k, j, i0 + i] += tau[c, i] * det[i] * stiffness[k, j, i0 + i]
+            for i in range(n):
                 for c in range(6):
-                    stress[c, k, j, i0 + l] /= volume[l]
+                    stress[c, k, j, i0 + i] /= volume[i]
                 for c in range(3):
-                    stress[c, k, j, i0 + l] += p[k, j, i0 + l]
+                    stress[c, k, j, i0 + i] += p[k, j, i0 + i]

@@ -104,7 +104,7 @@ class Interface:
     start: Array
     element: float
 
-    def meet(self, position: Array, height: float = 0.0) -> Meeting:
+    def meet(self, position: Array) -> Meeting:
         """Return where the slaves are on the master's surface."""
         numbers = self.slaves.ravel()
         n = numbers.size
@@ -218,7 +218,7 @@ class ContactTerms:
 
 
 def linearise(
-    contact: Plane | Interface,
+    friction: float,
     meeting: Meeting,
     state: ContactState,
     position: Array,
@@ -241,8 +241,8 @@ def linearise(
     w = state.memory + slip / slip_length
     q = np.sqrt(1 + (w**2).sum(1))
     s = w / q[:, None]
-    sliding = contact.friction * s
-    stiff = contact.friction * np.maximum(normal, 0.0) / (slip_length * q)
+    sliding = friction * s
+    stiff = friction * np.maximum(normal, 0.0) / (slip_length * q)
     friction_stiffness = stiff[:, None, None] * (np.eye(2) - s[:, :, None] * s[:, None, :])
     terms = ContactTerms(
         meeting=meeting,

@@ -14,6 +14,7 @@ from optical_palpation.experiment.contact import (
     ContactState,
     ContactTerms,
     Interface,
+    Meeting,
     Plane,
     assembled,
     linearise,
@@ -24,7 +25,7 @@ from optical_palpation.mechanics.grid import LayerGrid
 
 Array = NDArray[np.float64]
 LAYER, SAMPLE = 0, 1
-WINDOW, INTERFACE, PLATE = 0, 1, 2
+WINDOW, INTERFACE, PLATE, SIDES = 0, 1, 2, 3
 
 #: Smoothing of contact, as a pressure in units of the shear modulus: at first, and in the end.
 _SMOOTHING = (3e-2, 1e-3)
@@ -40,15 +41,17 @@ _NEAR = 3e-3
 class Assembly:
     """Window (z = 0), layer, sample and plate; nodes are numbered layer first.
 
-    ``slave_grids`` are the grids of the bodies that the slaves of the contacts belong to, ``areas``
-    the slaves' shares of the surface and ``scales`` c of their law; ``plate`` the plate's z at
-    rest, ``compression`` its travel, mm; ``slip_length`` that of the friction law.
+    Contacts are those at the window, between layer and sample, at the plate, and of the layer's
+    sides with the window, onto which they roll. ``slave_grids`` are the grids of the bodies that
+    the slaves of the first three belong to, ``areas`` the slaves' shares of the surface and
+    ``scales`` c of their law; ``plate`` the plate's z at rest, ``compression`` its travel, mm;
+    ``slip_length`` that of the friction law.
     """
 
     bodies: tuple[Body, Body]
-    contacts: tuple[Plane, Interface, Plane]
+    contacts: tuple[Plane, Interface, Plane, Plane]
     slave_grids: tuple[LayerGrid, LayerGrid, LayerGrid]
-    areas: tuple[Array, Array, Array]
+    areas: tuple[Array, Array, Array, Array]
     plate: float
     compression: float
     slip_length: float
@@ -87,10 +90,16 @@ class Assembly:
             for part, body in zip((u[:n], u[n:]), self.bodies, strict=True)
         ]
 
-    def meet(self, position: Array, load: float) -> list:
+    def meet(self, position: Array, load: float) -> list[Meeting]:
         """Where the slaves of each contact are."""
-        heights = (0.0, 0.0, self.plate - load * self.compression)
-        return [c.meet(position, h) for c, h in zip(self.contacts, heights, strict=True)]
+        window, interface, plate, sides = self.contacts
+        height = self.plate - load * self.compression
+        return [
+            window.meet(position, 0.0),
+            interface.meet(position),
+            plate.meet(position, height),
+            sides.meet(position, 0.0),
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +113,7 @@ class State:
 
     @property
     def forces(self) -> tuple[Array, ...]:
-        """Vertical contact forces at window, interface and plate, mN."""
+        """Vertical contact forces at window, interface, plate and sides, mN."""
         return tuple(contact.force for contact in self.contacts)
 
     def moved(self, u: Array, p: tuple[Array, ...], forces: tuple[Array, ...]) -> State:
@@ -150,7 +159,7 @@ def balance(assembly: Assembly, state: State, smoothing: float = _SMOOTHING[1]) 
     position = assembly.position(state.u)
     terms = [
         linearise(
-            contact,
+            contact.friction,
             meeting,
             own,
             position,
@@ -159,7 +168,7 @@ def balance(assembly: Assembly, state: State, smoothing: float = _SMOOTHING[1]) 
             assembly.slip_length,
         )
         for contact, meeting, own, scale, area in zip(
-            assembly.contacts,
+            list[Plane | Interface](assembly.contacts),
             assembly.meet(position, state.load),
             state.contacts,
             assembly.scales,
@@ -327,7 +336,7 @@ class Path:
 def follow(
     assembly: Assembly,
     start: State,
-    guess: tuple[Array, Array, Array],
+    guess: tuple[Array, ...],
     solver: LinearSolver,
     on_iteration: Callable[[float, Balance], None] | None = None,
     control: StepControl | None = None,

@@ -314,7 +314,7 @@ def volume_factor(volume: xr.DataArray, x: Array, y: Array, depth: Array) -> Arr
 
 
 def _interpolated(
-    field: xr.DataArray, dims: tuple[str, ...], points: tuple[Array, ...], order: int
+    field: xr.DataArray, dims: tuple[str, ...], points: tuple[Array, ...], order: Literal[0, 3]
 ) -> Array:
     if set(field.dims) != set(dims):
         raise InputError(f"a field on ({', '.join(dims)}) is needed, not on {field.dims}")

@@ -130,7 +130,8 @@ def run_experiment(
     maps["algebraic_axial_stress"] = algebraic_stress(
         maps["loaded_thickness"], scene.layer.thickness, scene.layer.material
     )
-    window, interface, plate = (float(force.sum()) for force in state.forces)
+    window, interface, plate, sides = (float(force.sum()) for force in state.forces)
+    window += sides
     maps.attrs = {
         "method": "virtual experiment",
         "c10_kPa": scene.layer.c10,

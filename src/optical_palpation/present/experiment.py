@@ -124,14 +124,13 @@ def _draw_section(figure: Figure, axes: Axes, result: ExperimentResult) -> None:
     section, values = [], []
     for body in (result.layer, result.sample):
         position = body["position"].transpose("z", "y", "x", "component").values
-        stress = body["cauchy_stress"].sel(tensor="zz").transpose("cell_z", "cell_y", "cell_x")
+        axial = body["cauchy_stress"].sel(tensor="zz").transpose("cell_z", "cell_y", "cell_x")
         middle = position.shape[1] // 2
         section.append(position[:, middle])
-        values.append(stress.values[:, min(middle, stress.shape[1] - 1)])
+        values.append(axial.values[:, middle])
     low, high = np.percentile(np.concatenate([v.ravel() for v in values]), [1, 99])
-    mesh = None
-    for nodes, stress in zip(section, values, strict=True):
-        mesh = axes.pcolormesh(
+    meshes = [
+        axes.pcolormesh(
             nodes[..., 0],
             nodes[..., 2],
             stress,
@@ -142,8 +141,10 @@ def _draw_section(figure: Figure, axes: Axes, result: ExperimentResult) -> None:
             linewidth=0.1,
             rasterized=True,
         )
+        for nodes, stress in zip(section, values, strict=True)
+    ]
     axes.plot(section[1][0, :, 0], section[1][0, :, 2], color="black", lw=0.8)
     axes.invert_yaxis()
     axes.set(title="Loaded layer and sample, axial stress (kPa)", xlabel="x (mm)", ylabel="z (mm)")
     axes.set_aspect("equal")
-    figure.colorbar(mesh, ax=axes, shrink=0.7)
+    figure.colorbar(meshes[0], ax=axes, shrink=0.7)
