@@ -58,7 +58,8 @@ def independent_code(setting: Setting) -> Part:
             "contact pressure, interior (0.5 mm off the edges)",
             "0",
             f"{difference:.1%} relative RMS difference",
-            "the same grid refinement, halved again, would have to tell whose error it is",
+            f"linear elements of {1e3 * size:g} um against quadratic ones of 83 um; both draw the "
+            "ridges",
         )
     )
     picture = "independent-code.png"
@@ -102,10 +103,10 @@ def coin(setting: Setting) -> Part:
             "Section 7",
             "sharpest edges of the coin, 10-90 %",
             "below 25 um for selected edges (10 um elements)",
-            f"{sharpest['axial_stress']:.0f} um with {1e3 * size:g} um elements; algebraic "
-            f"{sharpest['algebraic_axial_stress']:.0f} um",
-            "limited by the elements: 1.3 to 1.6 of their size, and by the smoothing of the "
-            "imprint",
+            f"{sharpest['axial_stress']} with {1e3 * size:g} um elements; algebraic "
+            f"{sharpest['algebraic_axial_stress']}",
+            "limited by the elements and by the smoothing of the imprint; sharpest tenth of the "
+            "steepest places",
         )
     )
     return part
@@ -130,7 +131,7 @@ def _solve(
 
 
 def _on_reference(result: StressResult) -> xr.DataArray:
-    """Contact pressure on the nodes of the unloaded layer: normal part of the traction."""
+    """Contact pressure on the nodes of the unloaded layer."""
     assert result.layer is not None
     layer = result.layer
     surface = layer["position"].isel(z=-1)
@@ -157,8 +158,8 @@ def _draw_pressures(ours: xr.DataArray, theirs: dict[str, np.ndarray], setting: 
         figure.savefig(temporary, dpi=150)
 
 
-def _sharpest_edge(stress: xr.DataArray, length: float = 0.4) -> float:
-    """Tenth percentile of the edge responses along x at the steepest places of the map, um."""
+def _sharpest_edge(stress: xr.DataArray, length: float = 0.4) -> str:
+    """Tenth percentile of the edge responses along x at the steepest places of the map."""
     steep = abs(stress.differentiate("x"))
     inner = steep.sel(x=slice(0.7, 4.3), y=slice(0.7, 4.3))
     threshold = float(inner.quantile(0.99))
@@ -170,4 +171,4 @@ def _sharpest_edge(stress: xr.DataArray, length: float = 0.4) -> float:
             rises.append(edge_response(line).rise)
         except InputError:  # not one clear edge
             continue
-    return 1e3 * float(np.percentile(rises, 10)) if rises else float("nan")
+    return f"{1e3 * float(np.percentile(rises, 10)):.0f} um" if rises else "no clear edge"
