@@ -208,6 +208,7 @@ def test_a_changed_volume_is_noticed(done, run):
     assert run("run", "study.toml", "--thickness-only")[0] == 0
     again = made_again(before, done)
     assert again == OF_LOADED
+    assert json.loads((done / "provenance.json").read_text())["complete"] is False
     # What the stress was made of is gone, and so is the stress.
     assert {path.name for path in done.iterdir()} == {
         *again,
@@ -242,6 +243,20 @@ def test_the_thickness_first_and_the_stress_later(here, run):
     assert run("run", "study.toml", "--quiet") == (0, "", "")
     assert not set(before) & made_again(before, results)
     assert {path.name for path in results.iterdir()} == FILES
+
+
+def test_the_thickness_alone_leaves_a_finished_study_as_it_is(done, run):
+    before = {path.name: path.read_bytes() for path in done.iterdir()}
+    assert run("run", "study.toml", "--thickness-only")[0] == 0
+    assert {path.name: path.read_bytes() for path in done.iterdir()} == before
+
+
+def test_files_that_are_no_longer_asked_for_go(done, run):
+    before = stages(done)
+    make_study(done.parent, STUDY + '[outputs]\nwrite = ["panel", "report"]\n')
+    assert run("run", "study.toml")[0] == 0
+    assert not made_again(before, done)
+    assert {path.name for path in done.iterdir()} == FILES - {"layer.vts", "profiles.csv"}
 
 
 def test_maps_and_numbers_in_place_of_volumes(here, run):

@@ -145,6 +145,13 @@ def test_an_unstable_material_is_refused_with_its_table(here):
         read_study("study.toml")
 
 
+def test_a_number_cannot_be_registered(here):
+    text = STUDY.replace('volume = "unloaded.npy"', "thickness = 0.4")
+    make_study(here, text + "[layer]\nregistration = true\n")
+    with pytest.raises(InputError, match=r"layer\.registration = true needs"):
+        read_study("study.toml")
+
+
 def test_a_missing_file_tells_how_to_make_one(here):
     with pytest.raises(InputError, match=r"optical-palpation new nowhere\.toml"):
         read_study("nowhere.toml")

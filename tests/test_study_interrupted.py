@@ -42,7 +42,7 @@ def undisturbed(tmp_path_factory):
     """A folder with a finished study, run twice so that all is compiled."""
     folder = tmp_path_factory.mktemp("undisturbed")
     make_volumes(folder)
-    make_study(folder, STUDY)
+    make_study(folder, STUDY + '[outputs]\nwrite = ["vtk", "profiles", "report"]\n')
     for _ in range(2):
         shutil.rmtree(folder / "study-results", ignore_errors=True)
         process = start(folder)

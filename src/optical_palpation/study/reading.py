@@ -90,6 +90,10 @@ def _check(study: Study) -> None:
         MooneyRivlin(**study.material.model_dump())
     except MaterialError as error:
         raise MaterialError(f"{study.file}: [material]: {error}") from None
+    if study.layer.registration and isinstance(study.unloaded, NumberInput):
+        raise InputError(
+            f"{study.file}: layer.registration = true needs an unloaded volume or map, not a number"
+        )
     for side, source in study.inputs.items():
         for key in ("volume", "map", "corrections"):
             name = getattr(source, key, None)

@@ -64,8 +64,13 @@ class Stage:
 
 
 def make_all(
-    folder: Path, study: str, about: Mapping[str, object], stages: Sequence[Stage], tell: Tell
-) -> list[str]:
+    folder: Path,
+    study: str,
+    about: Mapping[str, object],
+    stages: Sequence[Stage],
+    tell: Tell,
+    until: str | None = None,
+) -> tuple[list[str], list[str]]:
     """Make the files that are not there yet, and remove those that are no longer true.
 
     Parameters
@@ -80,11 +85,15 @@ def make_all(
         In an order in which they can be made.
     tell
         Called with a :class:`Progress` now and then.
+    until
+        Last file to make; all of them by default.
 
     Returns
     -------
     list of str
-        Files that were there already.
+        Files that are there now.
+    list of str
+        Those of them that were there already.
 
     Raises
     ------
@@ -120,7 +129,7 @@ def make_all(
     for file in (known.keys() | keys.keys()) - done.keys():
         (folder / file).unlink(missing_ok=True)
     _remove_leftovers(folder)
-    for stage in stages:
+    for stage in stages[: 1 + list(keys).index(until) if until else None]:
         if stage.file in done:
             continue
         started = time.monotonic()
@@ -135,9 +144,9 @@ def make_all(
             "seconds": round(time.monotonic() - started, 2),
         }
         _write(folder, record)
-    record["complete"] = True
+    record["complete"] = done.keys() == keys.keys()
     _write(folder, record)
-    return earlier
+    return [file for file in keys if file in done], earlier
 
 
 def sha256(path: Path) -> str:

@@ -12,7 +12,7 @@ from optical_palpation.errors import InputError
 from optical_palpation.study.inputs import facts, parameters
 from optical_palpation.study.record import Progress, make_all
 from optical_palpation.study.schema import Study
-from optical_palpation.study.stages import Stages
+from optical_palpation.study.stages import THICKNESS, Stages
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class StudyResult:
     folder
         The result folder.
     files
-        Names of the files in it, in the order in which they were made.
+        Names of the files in it, in the order in which they are made.
     earlier
         Those of them that an earlier run had made already.
     """
@@ -79,6 +79,7 @@ def run_study(
         "parameters": parameters(study),
         "inputs": inputs,
     }
-    stages = Stages(study).plan(inputs, thickness_only)
-    earlier = make_all(study.folder, study.file.name, about, stages, tell)
-    return StudyResult(study.folder, tuple(stage.file for stage in stages), tuple(earlier))
+    stages = Stages(study).plan(inputs)
+    until = THICKNESS if thickness_only else None
+    files, earlier = make_all(study.folder, study.file.name, about, stages, tell, until)
+    return StudyResult(study.folder, tuple(files), tuple(earlier))

@@ -45,15 +45,13 @@ class Stages:
 
     study: Study
 
-    def plan(self, inputs: Mapping[str, Mapping[str, Any]], thickness_only: bool) -> list[Stage]:
+    def plan(self, inputs: Mapping[str, Mapping[str, Any]]) -> list[Stage]:
         """List the stages in the order in which they are made.
 
         Parameters
         ----------
         inputs
             Facts about the input files, by ``unloaded`` and ``loaded``.
-        thickness_only
-            Leave out everything after the thickness.
         """
         study = self.study
         stages, found = [], []
@@ -67,8 +65,6 @@ class Stages:
         if isinstance(study.unloaded, NumberInput):
             facts["unloaded"] = study.unloaded.thickness
         stages.append(Stage(THICKNESS, facts, found, self._thickness))
-        if thickness_only:
-            return stages
         tables = {
             name: getattr(study, name).model_dump(mode="json")
             for name in ("material", "friction", "grid")
