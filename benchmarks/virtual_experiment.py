@@ -94,7 +94,7 @@ def main() -> None:
             errors = recovery_errors(result, recovered)
             print(f"  recovered, noise {1e3 * noise:g} um, {time.perf_counter() - start:.0f} s:")
             for method in ("algebraic", "computational"):
-                row = errors.sel(method=method)
+                row = errors.sel(approach=method)
                 print(
                     f"    {method:14} relative rms "
                     + ", ".join(

@@ -56,7 +56,7 @@ def observed_maps(assembly: Assembly, state: State, x: Array, y: Array) -> xr.Da
     }
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
     at_sample, outside = _material_points(grid, surface, target)
-    at_window, beyond = _material_points(grid, position[:, 0], target)
+    at_window, _ = _material_points(grid, position[:, 0], target)
     maps = xr.Dataset(
         coords={
             "y": ("y", y, {"units": "mm", "long_name": "lateral position y"}),
@@ -64,7 +64,7 @@ def observed_maps(assembly: Assembly, state: State, x: Array, y: Array) -> xr.Da
         }
     )
     thickness = _smooth(grid, surface[2], at_sample) - _smooth(grid, position[2, 0], at_window)
-    thickness[outside | beyond] = np.nan
+    thickness[outside] = np.nan
     millimetres = {"units": "mm"}
     unloaded = np.full(thickness.shape, float(grid.thickness.mean()))
     for name, values in (("unloaded_thickness", unloaded), ("loaded_thickness", thickness)):

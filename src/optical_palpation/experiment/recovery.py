@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -20,6 +21,8 @@ def recovered_stress(
     element_size: float | Sequence[float],
     noise: float = 1e-3,
     seed: int = 0,
+    sample_friction: float | None = None,
+    bulk_to_shear: float | None = None,
     threads: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> StressResult:
@@ -34,12 +37,17 @@ def recovered_stress(
         Standard deviation of the error added to each pixel of the thickness, mm.
     seed
         Of the random numbers.
+    sample_friction
+        Coefficient between layer and imprint; by default that of the scene, which is too much where
+        the sample spreads with the layer (section 4 of the paper).
+    bulk_to_shear
+        Of the layer; by default that of the scene.
 
     Returns
     -------
     StressResult
-        Of the computational method, at the experiment's coefficients of friction; its
-        ``algebraic_axial_stress`` is that of the same noisy thickness.
+        Of the computational method; its ``algebraic_axial_stress`` is that of the same noisy
+        thickness.
 
     Raises
     ------
@@ -52,12 +60,15 @@ def recovered_stress(
     error = np.random.default_rng(seed).normal(0.0, 1.0, exact.shape)
     loaded = clean_thickness((exact + noise * error).assign_attrs(exact.attrs))["thickness"]
     scene = result.scene
+    material = scene.layer.material
+    if bulk_to_shear is not None:
+        material = replace(material, bulk_to_shear=bulk_to_shear)
     return computational_stress(
         loaded,
         scene.layer.thickness,
-        scene.layer.material,
+        material,
         window_friction=scene.friction.window,
-        sample_friction=scene.friction.sample,
+        sample_friction=scene.friction.sample if sample_friction is None else sample_friction,
         element_size=element_size,
         threads=threads,
         progress=progress,
@@ -70,7 +81,7 @@ def recovery_errors(result: ExperimentResult, recovered: StressResult) -> xr.Dat
     Returns
     -------
     xarray.Dataset
-        The variables of :func:`~optical_palpation.analysis.compare_maps` over ``method``
+        The variables of :func:`~optical_palpation.analysis.compare_maps` over ``approach``
         (algebraic, computational) and ``zone``, on the pixels of the recovered maps; the interior
         is 0.5 mm and more from the sides.
     """
@@ -78,4 +89,4 @@ def recovery_errors(result: ExperimentResult, recovered: StressResult) -> xr.Dat
     true = result.maps["axial_stress"].interp(x=maps["x"], y=maps["y"])
     names = {"algebraic": "algebraic_axial_stress", "computational": "axial_stress"}
     errors = [compare_maps(maps[name], true) for name in names.values()]
-    return xr.concat(errors, xr.DataArray(list(names), dims="method", name="method"))
+    return xr.concat(errors, xr.DataArray(list(names), dims="approach", name="approach"))
