@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .grid import LayerGrid
 from .multigrid import Hierarchy
 from .schur import SchurComplement
-from .stencil import halo_zeros, interior, multiply
+from .stencil import halo_zeros, interior, multiply, threads_for
 from .system import NewtonSystem
 
 Array = NDArray[np.float64]
@@ -43,6 +43,10 @@ class MultigridSolver:
         ``tolerance`` is the reduction of the residual of both equations together, each pressure
         equation weighted by (mu + gamma) / V^(1/3) to make it a force.
         """
+        with threads_for(system.rhs.shape[1:]):
+            return self._solve(system, tolerance)
+
+    def _solve(self, system: NewtonSystem, tolerance: float) -> tuple[Array, Array, int]:
         f32 = np.float32
         self.hierarchy.update(system.stencil, system.free)
         free = system.free.astype(f32)

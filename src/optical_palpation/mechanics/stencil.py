@@ -6,11 +6,27 @@ products need no branches. Stencils are ``[z, y, neighbour, 3 * row + column, x]
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+#: Nodes that make it worth while to wake one more thread.
+_NODES_PER_THREAD = 2000
 _fast = {"nsz", "arcp", "contract", "reassoc"}
+
+
+@contextmanager
+def threads_for(node_shape: tuple[int, ...]) -> Iterator[None]:
+    """Use no more threads than a grid of this size keeps busy."""
+    allowed = nb.get_num_threads()
+    nb.set_num_threads(max(1, min(allowed, int(np.prod(node_shape)) // _NODES_PER_THREAD)))
+    try:
+        yield
+    finally:
+        nb.set_num_threads(allowed)
 
 
 def halo_zeros(node_shape: tuple[int, int, int], dtype: type[np.floating]) -> NDArray:
@@ -136,11 +152,14 @@ def invert_blocks(stencil, inverse):
 def constrain(stencil, free):
     """Clear the rows and columns of constrained unknowns (free: [component, z, y, x] bool)."""
     nz1, ny1, _, _, nx1 = stencil.shape
+    whole = np.empty((nz1, ny1), np.bool_)
+    for row in nb.prange(nz1 * ny1):
+        whole[row // ny1, row % ny1] = free[:, row // ny1, row % ny1].all()
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
         for m in range(27):
             kk, jj, di = k + m // 9 - 1, j + (m // 3) % 3 - 1, m % 3 - 1
-            if kk < 0 or kk >= nz1 or jj < 0 or jj >= ny1:
+            if kk < 0 or kk >= nz1 or jj < 0 or jj >= ny1 or (whole[k, j] and whole[kk, jj]):
                 continue
             for c in range(3):
                 for d in range(3):

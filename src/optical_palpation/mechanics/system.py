@@ -125,7 +125,7 @@ def assemble(
         stencil[k, :, 13, 4] += block[2] + hold
     free, prescribed = constraints(problem, contact)
     # the vertical equations of both faces give the contact forces after the step
-    vertical_rows = stencil[[0, -1]][:, :, :, 6:].copy()
+    vertical_rows = np.stack([stencil[0, :, :, 6:], stencil[-1, :, :, 6:]])
     for face, k in ((WINDOW, 0), (SAMPLE, -1)):
         stencil[k, :, 13, 8] += contact.spring[face]
     sides = grid.side_nodes
