@@ -49,14 +49,14 @@ def test_parts_and_page(here, run):
     assert page.count("Not made: choose it by") == len(PARTS) - 2
 
     # Even on coarse grids the physics is there: the coefficient comes back, the algebraic edge is
-    # as wide as the closed form says, and the computational one two or three elements of 50 um.
+    # as wide as the closed form says, and the computational one two or three elements of 62.5 um.
     _, _, _, found, _ = cells(page, "coefficient recovered")
     true, estimate = map(float, re.fullmatch(r"([\d.]+) as ([\d.]+)", found).groups())
     assert estimate == pytest.approx(true, abs=0.05)
     algebraic = float(cells(page, "10-90 % edge response, algebraic")[3].split()[0])
-    assert algebraic == pytest.approx(314, rel=0.03)
+    assert algebraic == pytest.approx(315, rel=0.03)
     computational = float(cells(page, "10-90 % edge response, computational")[3].split()[0])
-    assert 50 < computational < 150
+    assert 60 < computational < 180
     level = float(cells(page, "stress on the square")[3].split(";")[0])
     assert level == pytest.approx(-0.2, rel=0.03)
 
