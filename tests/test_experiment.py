@@ -52,7 +52,7 @@ def rough():
 def test_stack_of_one_material_is_compressed_uniformly():
     result = run_experiment(scene(compression=0.45), threads=1)
     stretch = 1 - 0.45 / 1.5
-    assert np.allclose(result.maps["loaded_thickness"], 0.5 * stretch, atol=2e-6)
+    assert np.allclose(result.maps["loaded_thickness"], 0.5 * stretch, atol=1e-5)
     stress = MATERIAL.uniaxial_stress(stretch - 1, "true")
     assert np.allclose(result.maps["axial_stress"], stress, rtol=1e-3)
     assert np.allclose(result.maps["contact_pressure"], -stress, rtol=1e-3)

@@ -29,6 +29,8 @@ WINDOW, INTERFACE, PLATE, SIDES = 0, 1, 2, 3
 
 #: Smoothing of contact, as a pressure in units of the shear modulus: at first, and in the end.
 _SMOOTHING = (3e-2, 1e-3)
+#: Least smoothing of the sides' contact, of few nodes and little force.
+_SIDES = 1e-2
 #: When the full load is reached: out-of-balance forces relative to contact forces, violation of
 #: J - 1. Loads on the way to it are reached sooner by ``_ON_THE_WAY``.
 _FORCE, _VOLUME = 1e-5, 1e-6
@@ -164,15 +166,16 @@ def balance(assembly: Assembly, state: State, smoothing: float = _SMOOTHING[1]) 
             own,
             position,
             scale,
-            smoothing * assembly.shear_modulus * area,
+            max(smoothing, least) * assembly.shear_modulus * area,
             assembly.slip_length,
         )
-        for contact, meeting, own, scale, area in zip(
+        for contact, meeting, own, scale, area, least in zip(
             list[Plane | Interface](assembly.contacts),
             assembly.meet(position, state.load),
             state.contacts,
             assembly.scales,
             assembly.areas,
+            (0.0, 0.0, 0.0, _SIDES),
             strict=True,
         )
     ]
