@@ -28,11 +28,9 @@ from .problem import LayerProblem, LayerState
 Array = NDArray[np.float64]
 
 #: Elements up to which a grid is the start of the cascade.
-_COARSEST = 2000
+_COARSEST = 8000
 #: Fraction of the full load at which a solution changes grids.
 _HANDOVER = 0.2
-#: Factor by which friction is softened while a solution changes grids.
-_CHANGE_OF_GRID = 20.0
 
 
 @dataclass
@@ -120,7 +118,8 @@ def solve(
     while cascade and (coarser := coarsened(levels[-1])) is not None:
         levels.append(coarser)
     record: list[tuple[int, float, int]] = []
-    state = full = None
+    state: LayerState | None = None
+    full: LayerState | None = None
     for n in reversed(range(len(levels))):
         level = levels[n]
         linear = make_solver(level, solver)
@@ -135,7 +134,7 @@ def solve(
             target=1.0 if n == 0 else _HANDOVER,
         )
         path = None
-        if state is not None:
+        if state is not None and full is not None:
             # a coarse solution may be too far away: then the load is followed on this grid
             with suppress(NotConverged, LoadNotReached):
                 state, full, count = _carried(
@@ -152,6 +151,7 @@ def solve(
         if before.load < state.load < 1.0:
             full = extrapolated(before, state, 1.0)
             remember_slip(level, state)
+    assert state is not None  # there is at least one level
     return Solution(problem, state, record)
 
 
@@ -167,7 +167,7 @@ def _carried(
     """Carry a state of ``coarse`` to ``fine``, with the estimate of its ``full`` load.
 
     The layer moves by a few micrometres from one grid to the next. That is no slip: the state is
-    brought into equilibrium under a friction that hardly feels it, and its memory is laid anew.
+    brought into equilibrium and its friction memory laid anew where the nodes then are.
     """
     state, full = prolong(state, coarse, fine), prolong(full, coarse, fine)
     full.u -= state.u
@@ -177,8 +177,7 @@ def _carried(
         if report:
             report(state.load, iteration, now, krylov)
 
-    soft = replace(fine, slip_length=_CHANGE_OF_GRID * fine.slip_length)
-    count = equilibrate(soft, state, linear, tolerances, forward)
+    count = equilibrate(fine, state, linear, tolerances, forward)
     state.anchor = np.stack([state.u[:2, 0], state.u[:2, -1]])
     full.u += state.u
     full.p += state.p
