@@ -39,6 +39,7 @@ class Progress:
 
 
 Tell = Callable[[Any], None]
+Make = Callable[[Path, Tell], None]
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Stage:
     file: str
     facts: Mapping[str, object]
     needs: Sequence[str]
-    make: Callable[[Path, Tell], None]
+    make: Make
 
 
 def make_all(

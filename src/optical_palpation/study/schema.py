@@ -23,7 +23,7 @@ Pair = Annotated[tuple[Positive, Positive], Strict(False)]
 Range = Annotated[tuple[float, float], Strict(False)]
 Three = Annotated[tuple[Positive, Positive, Positive], Strict(False)]
 Extent = Annotated[tuple[float, float, float, float], Strict(False)]
-Picture = Literal["panel", "vtk", "profiles", "report"]
+Output = Literal["panel", "vtk", "profiles", "report"]
 Coefficient = Annotated[float, Field(ge=0, le=2)]
 
 
@@ -144,7 +144,7 @@ class Outputs(Table):
     """The result folder and what is written besides the results themselves."""
 
     folder: Text | None = None
-    write: Annotated[tuple[Picture, ...], Strict(False)] = ("panel", "vtk", "profiles", "report")
+    write: Annotated[tuple[Output, ...], Strict(False)] = ("panel", "vtk", "profiles", "report")
 
 
 class Study(Table):

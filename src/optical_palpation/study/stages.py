@@ -7,7 +7,7 @@ is therefore the same to the last bit.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import algebraic_result, computational_stress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.study.inputs import by_side, find_boundaries, finding, open_input, parameters
-from optical_palpation.study.record import Progress, Stage, Tell
+from optical_palpation.study.record import Make, Progress, Stage, Tell
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
 from optical_palpation.study.script import reproducing_lines
 from optical_palpation.thickness import (
@@ -83,7 +83,7 @@ class Stages:
         }
         return stages + [makers[kind] for kind in makers if kind in study.outputs.write]
 
-    def _boundaries(self, side: str) -> Any:
+    def _boundaries(self, side: str) -> Make:
         source = by_side(self.study)[side]
         fixes = self.study.path(source.corrections) if source.corrections else None
 
@@ -98,7 +98,7 @@ class Stages:
 
         return make
 
-    def _picture(self, side: str) -> Any:
+    def _picture(self, side: str) -> Make:
         def make(path: Path, tell: Tell) -> None:
             tell(Progress(f"picture of the {side} layer", 0.0))
             with open_input(self.study, by_side(self.study)[side]) as volume:
@@ -178,7 +178,8 @@ class Stages:
         for name in ("filled", "quality"):
             if name in thickness:
                 maps[name] = thickness[name].reindex(here, method="nearest")
-        maps.attrs |= thickness.attrs
+        of_file = ("software", "software_version", "axis_order")  # a result says these itself
+        maps.attrs |= {key: v for key, v in thickness.attrs.items() if key not in of_file}
         for key, value in thickness["initial_thickness"].attrs.items():
             if key.startswith("source"):
                 maps.attrs[key.replace("source", "initial_thickness_input")] = value
@@ -239,7 +240,7 @@ class Stages:
             )
 
 
-def _from_result(write: Any) -> Any:
+def _from_result(write: Callable[[StressResult, Path], None]) -> Make:
     """Make a stage of a writer of results."""
 
     def make(path: Path, tell: Tell) -> None:
