@@ -234,8 +234,8 @@ def _time(true: ExperimentResult, seconds: float, setting: Setting) -> Row:
         "time of the virtual experiment",
         "15 to 30 min for 100,000 elements",
         f"{seconds:.0f} s for {count:,} elements",
-        f"on {setting.threads or psutil.cpu_count(logical=True)} threads of a machine that was not "
-        "otherwise idle; the paper's figure is for its layer alone",
+        f"threads: {setting.threads or psutil.cpu_count(logical=True)}; the paper's figure is for "
+        "its layer alone",
     )
 
 
