@@ -44,15 +44,21 @@ def _row_product(stencil, x, k, j, out):
     """out[c, i] = (S x) for the row of nodes (k, j)."""
     nx1 = out.shape[1]
     out[:] = 0
-    for m in range(27):
-        kk, jj, di = k + m // 9, j + (m // 3) % 3, m % 3
-        s = stencil[k, j, m]
-        x0, x1, x2 = x[0, kk, jj, di:], x[1, kk, jj, di:], x[2, kk, jj, di:]
-        for i in range(nx1):
-            a, b, c = x0[i], x1[i], x2[i]
-            out[0, i] += s[0, i] * a + s[1, i] * b + s[2, i] * c
-            out[1, i] += s[3, i] * a + s[4, i] * b + s[5, i] * c
-            out[2, i] += s[6, i] * a + s[7, i] * b + s[8, i] * c
+    for m in range(9):
+        blocks, kk, jj = stencil[k, j, 3 * m : 3 * m + 3], k + m // 3, j + m % 3
+        left, middle, right = blocks[0], blocks[1], blocks[2]
+        x0, x1, x2 = x[0, kk, jj], x[1, kk, jj], x[2, kk, jj]
+        for c in range(3):
+            line = out[c]
+            a0, a1, a2 = left[3 * c], left[3 * c + 1], left[3 * c + 2]
+            b0, b1, b2 = middle[3 * c], middle[3 * c + 1], middle[3 * c + 2]
+            c0, c1, c2 = right[3 * c], right[3 * c + 1], right[3 * c + 2]
+            for i in range(nx1):
+                line[i] += (
+                    (a0[i] * x0[i] + a1[i] * x1[i] + a2[i] * x2[i])
+                    + (b0[i] * x0[i + 1] + b1[i] * x1[i + 1] + b2[i] * x2[i + 1])
+                    + (c0[i] * x0[i + 2] + c1[i] * x1[i + 2] + c2[i] * x2[i + 2])
+                )
 
 
 @nb.njit(parallel=True, fastmath=_fast, cache=True)

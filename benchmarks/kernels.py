@@ -1,0 +1,118 @@
+"""Time of each kernel of the solver, per element, beside the bytes that it has to move.
+
+    python benchmarks/kernels.py [--elements 40x40x4 100x100x10] [--threads 4]
+
+The layer is compressed to 0.7 of its thickness, with a ripple. Bytes count every array a kernel
+reads or writes once; small grids live in the caches and beat the memory's bandwidth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numba as nb
+import numpy as np
+
+from optical_palpation.mechanics import stencil as st
+from optical_palpation.mechanics.elements import (
+    GRADIENTS,
+    GRADIENTS32,
+    internal_force,
+    tangent_stencil,
+)
+from optical_palpation.mechanics.multigrid import Hierarchy
+from optical_palpation.mechanics.schur import SchurComplement
+from performance_probe import copy_bandwidth
+
+C10, C01, THICKNESS = 2.23, 0.703, 0.5
+SHEAR = 2 * (C10 + C01)
+
+
+def seconds(run: Callable[[], object]) -> float:
+    """Median of at least five runs, after one that compiles and warms."""
+    run()
+    times: list[float] = []
+    while len(times) < 5 or (sum(times) < 0.3 and len(times) < 100):
+        start = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times))
+
+
+def measure(nx: int, ny: int, nz: int) -> list[tuple[str, float, int]]:
+    """Return (kernel, seconds, bytes) on one grid."""
+    z, y, x = (np.linspace(0, length, n + 1) for length, n in ((THICKNESS, nz), (5, ny), (5, nx)))
+    nodes = np.stack(np.broadcast_arrays(x, y[:, None], z[:, None, None])).copy()
+    u = nodes * np.array([0.19, 0.19, -0.3])[:, None, None, None]
+    u += 0.01 * nodes[2] * np.sin(4 * nodes[[1, 2, 0]])
+    p = np.random.default_rng(0).standard_normal((nz, ny, nx))
+    force, volume, reference = np.empty_like(u), np.empty_like(p), np.empty_like(p)
+    jacobian = np.empty((nz, ny))
+    stencil = np.empty((nz + 1, ny + 1, 27, 9, nx + 1), np.float32)
+    divergence = np.empty((nz, ny, 24, nx), np.float32)
+    law, gamma = (C10, C01), 3 * SHEAR
+    rows: list[tuple[str, float, int]] = []
+
+    def row(name: str, run: Callable[[], object], *arrays: np.ndarray) -> None:
+        rows.append((name, seconds(run), sum(a.nbytes for a in arrays)))
+
+    row(
+        "internal force",
+        lambda: internal_force(
+            nodes, u, p, *law, GRADIENTS, force, volume, reference, jacobian
+        ),
+        nodes, u, p, force, volume, reference,
+    )  # fmt: skip
+    row(
+        "tangent",
+        lambda: tangent_stencil(nodes, u, p, *law, gamma, GRADIENTS32, stencil, divergence),
+        nodes, u, p, stencil, divergence,
+    )  # fmt: skip
+    free = np.ones(u.shape, bool)
+    free[2, [0, -1]] = False
+    row("constraints", lambda: st.constrain(stencil, free), free)
+    hierarchy = Hierarchy((z, y, x))
+    row("coarse operators", lambda: hierarchy.update(stencil, free), stencil)
+    fine = hierarchy.levels[0]
+    one = np.float32(1)
+    row("product", lambda: st.multiply(stencil, fine.x, fine.r), stencil, fine.x, fine.r)
+    row(
+        "smoothing step",
+        lambda: st.smoothing_direction(
+            stencil, fine.inverse, fine.x, fine.b, fine.d, 0 * one, one
+        ),
+        stencil, fine.inverse, fine.x, fine.b, fine.d,
+    )  # fmt: skip
+    rhs = st.halo_zeros(fine.node_shape, np.float32)
+    st.interior(rhs)[:] = np.where(free, force, 0)
+    passes = [stencil] * 8  # smoothing before and after, and the residual
+    row("V-cycle", lambda: hierarchy.cycle(rhs), *passes)
+    schur = SchurComplement(p.shape, (z[1], y[1], x[1]), SHEAR, gamma)
+    schur.prepare(reference.astype(np.float32), 1e4 * SHEAR)
+    change = volume.astype(np.float32)
+    row("Schur complement", lambda: schur.solve(change), change, change)
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--elements", nargs="+", default=["40x40x4", "60x60x6", "100x100x10"])
+    parser.add_argument("--threads", type=int, default=nb.config.NUMBA_NUM_THREADS)
+    chosen = parser.parse_args()
+    nb.set_num_threads(chosen.threads)
+    print(f"{chosen.threads} threads, {copy_bandwidth(chosen.threads) / 1e9:.1f} GB/s")
+    for size in chosen.elements:
+        shape = tuple(int(n) for n in size.split("x"))
+        count = int(np.prod(shape))
+        print(f"\n{size}\n{'':18} us/element  bytes/element   GB/s")
+        for name, time_, bytes_ in measure(*shape):
+            print(
+                f"{name:18} {1e6 * time_ / count:10.3f} {bytes_ / count:14.0f} "
+                f"{bytes_ / time_ / 1e9:6.1f}"
+            )
+
+
+if __name__ == "__main__":
+    main()
