@@ -8,7 +8,7 @@ from optical_palpation.errors import InsufficientMemoryError
 from optical_palpation.mechanics.problem import LayerProblem
 
 #: Bytes per node at the peak of a run by multigrid: stencils, vectors of the Krylov method, states.
-_MULTIGRID = 4000.0
+_MULTIGRID = 3400.0
 #: Bytes per node of the sparse matrix on its way to the direct solver, and per node and node of
 #: the depth of its factors, which grow with the logarithm of the lateral size besides.
 _MATRIX, _FACTORS = 20000.0, 400.0
