@@ -259,12 +259,11 @@ def galerkin(fine, coarse, index_z, first_z, p_z, index_y, first_y, p_y, index_x
                                 w = wk * wj * vk * p_y[jc2, j2 - first_y[jc2]]
                                 if w == 0:
                                     continue
-                                out = part[kc2 - kc + 1, jc2 - jc + 1]
-                                for di in range(3):
-                                    source = fine[k, j, 9 * dk + 3 * dj + di]
-                                    for c in range(9):
-                                        for i in range(nx1):
-                                            out[di, c, i] += w * source[c, i]
+                                m = 9 * dk + 3 * dj
+                                source = fine[k, j, m : m + 3].reshape(-1)
+                                out = part[kc2 - kc + 1, jc2 - jc + 1].reshape(-1)
+                                for i in range(len(out)):
+                                    out[i] += w * source[i]
         for dk in range(3):
             for dj in range(3):
                 target = coarse[kc, jc, 9 * dk + 3 * dj : 9 * dk + 3 * dj + 3]
