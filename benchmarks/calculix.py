@@ -86,19 +86,22 @@ def run_calculix(
 
 
 def sinusoid(
-    path: str | Path, lateral: int, deep: int, bulk_to_shear: float = 100.0
+    path: str | Path,
+    lateral: int,
+    deep: int,
+    bulk_to_shear: float = 100.0,
+    edge: float | None = None,
 ) -> LayerProblem:
     """Return the problem of the sinusoid imprint: 5 x 5 x 0.5 mm, free edges, friction 0.3, 0.05.
 
     ``lateral`` and ``deep`` are numbers of elements. The default K/mu is as much as CalculiX bears.
+    ``edge`` is the width, mm, of the outermost elements, from which widths double inwards.
     """
     with np.load(path) as data:
         x, y, loaded = data["x_mm"], data["y_mm"], data["L1_mm"]
         thickness = float(data["L0_mm"])
-    nodes = node_positions(5.0, 5.0 / lateral)
-    grid = LayerGrid(
-        nodes, nodes, graded_depths(deep), np.full((lateral + 1, lateral + 1), thickness)
-    )
+    nodes = node_positions(5.0, 5.0 / lateral, edge=edge)
+    grid = LayerGrid(nodes, nodes, graded_depths(deep), np.full((nodes.size,) * 2, thickness))
     imprint = Imprint(x, y, np.full_like(loaded, thickness), loaded)
     c10, c01 = 2.23, 0.703
     return LayerProblem(
@@ -110,11 +113,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("imprint", type=Path, help="sinusoid_simulated_L1.npz")
     parser.add_argument("--elements", type=int, nargs=2, default=(20, 2), help="lateral, deep")
+    parser.add_argument("--edge", type=float, help="width of the outermost elements, mm")
     parser.add_argument("--type", default="C3D20R", help="element type")
     parser.add_argument("--time-limit", type=float, default=1800.0, help="seconds")
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     arguments = parser.parse_args()
-    problem = sinusoid(arguments.imprint, *arguments.elements)
+    problem = sinusoid(arguments.imprint, *arguments.elements, edge=arguments.edge)
     with tempfile.TemporaryDirectory() as directory:
         result = run_calculix(
             problem,

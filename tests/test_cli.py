@@ -205,6 +205,17 @@ def test_initial_thickness_may_be_a_map_of_its_own(here, run):
         assert maps.attrs[f"{attribute}_sha256"] == digest
 
 
+def test_no_point_of_a_layer_that_ends_between_pixels_lacks_a_stress(here, run):
+    extent = ["--layer-extent", "0.25", "1.6", "0.3", "1.5"]
+    status, _, _ = run("stress", "map.npy", *FRAME, *COMPUTATIONAL, *extent, "--output", "o.nc")
+    assert status == 0
+    maps = read_result("o.nc").maps
+    assert not any(maps[name].isnull().any() for name in maps.data_vars)
+    loaded = read_thickness_map("map.npy", field_of_view=(2, 1.5))
+    expected = algebraic_stress(loaded, 0.5, MooneyRivlin(2.23, 0.703)).interp(x=maps.x, y=maps.y)
+    np.testing.assert_allclose(maps["algebraic_axial_stress"], expected, atol=0.1)
+
+
 def test_quiet_prints_nothing(here, run):
     assert run("stress", "map.npy", *FRAME, *ALGEBRAIC, "--output", "o.nc", "--quiet") == (
         0,

@@ -97,9 +97,7 @@ def algebraic_result(
             "method": "algebraic",
             "c10_kPa": material.c10,
             "c01_kPa": material.c01,
-            "initial_thickness_mm": float(
-                match_initial_thickness(initial_thickness, loaded).mean()
-            ),
+            "initial_thickness_mm": float(initial.where(inside_layer(loaded)).mean()),
             "no_contact_share": stress.attrs["no_contact_share"],
         },
     )

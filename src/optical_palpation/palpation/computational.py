@@ -29,7 +29,7 @@ from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.memory import check_memory
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.palpation.threads import limited_threads
-from optical_palpation.thickness.frames import layer_extent_of, on_grid
+from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
 
 Array = NDArray[np.float64]
@@ -40,6 +40,8 @@ PADDING = 3.0
 #: Width of the outermost elements of a free side, in heights of an element: what the stress-free
 #: side does to the layer's total force is resolved to about 1 %.
 EDGE = 0.25
+#: More elements than any machine holds; their layout alone would take minutes.
+MOST_ELEMENTS = 1e8
 #: A node slips where friction has reached this share of its bound.
 SLIP_SHARE = 0.9
 
@@ -129,6 +131,12 @@ def computational_stress(
     smoothing = 0.5 * float(np.sqrt(sizes[0] * sizes[1]))
     if imprint_smoothing is not None:
         smoothing = imprint_smoothing
+        x0, x1, y0, y1 = layer_extent_of(loaded)
+        if smoothing > (widest := 0.25 * min(x1 - x0, y1 - y0)):
+            raise InputError(
+                f"imprint_smoothing of {smoothing:g} mm is larger than a quarter of the field of "
+                f"view, {widest:g} mm, and would leave no relief (it is in mm)"
+            )
     problem = _problem(
         loaded, initial, material, (window_friction, sample_friction), sizes, edges, smoothing
     )
@@ -171,7 +179,7 @@ def computational_stress(
         "bulk_to_shear": material.bulk_to_shear,
         "window_friction": float(window_friction),
         "sample_friction": float(sample_friction),
-        "initial_thickness_mm": float(initial.mean()),
+        "initial_thickness_mm": float(initial.where(inside_layer(loaded)).mean()),
         "element_size_mm": list(problem.grid.spacing()[::-1]),
         "elements": list(problem.grid.shape[::-1]),
         "edges": edges,
@@ -234,6 +242,12 @@ def _element_sizes(
                 f"the element size along {axis}, {size:g} mm, is larger than {what}, {limit:g} mm; "
                 "give a smaller one (it is in mm)"
             )
+    elements = (x1 - x0) / x * (y1 - y0) / y * thickness / z
+    if elements > MOST_ELEMENTS:
+        raise InputError(
+            f"elements of {x:g} x {y:g} x {z:g} mm would be {elements:.1e} in all, beyond any "
+            "memory; give a larger element_size (it is in mm)"
+        )
     return x, y, z
 
 
@@ -422,7 +436,7 @@ def _interpolated(grid: LayerGrid, field: Array, points: Array) -> Array:
 def _evenly_spaced(nodes: Array) -> slice:
     """The inner nodes between which the spacing is the usual one."""
     widths = np.diff(nodes)
-    usual = np.nonzero(np.isclose(widths, np.median(widths), rtol=1e-3))[0]
+    usual = np.nonzero(np.isclose(widths, widths[widths.size // 2], rtol=1e-3))[0]
     return slice(int(usual[0]), int(usual[-1]) + 2)
 
 
@@ -477,7 +491,10 @@ def _maps(
             },
         )
     maps["loaded_thickness"] = loaded.interp(x=x, y=y, kwargs={"fill_value": "extrapolate"})
-    maps["algebraic_axial_stress"] = algebraic.interp(x=x, y=y)
+    # Pixels beyond the layer have no stress: up to its border, go on from the last ones within.
+    within = algebraic.dropna("x", how="all").dropna("y", how="all")
+    stress = within.interp(x=x, y=y, kwargs={"fill_value": "extrapolate"})
+    maps["algebraic_axial_stress"] = np.minimum(stress, 0.0)
     for name in ("loaded_thickness", "algebraic_axial_stress"):
         maps[name].attrs = {
             "units": {"loaded_thickness": "mm"}.get(name, "kPa"),
