@@ -203,6 +203,29 @@ def test_homogeneous_compression_to_half_meets_the_closed_form(ratio, edge):
     assert_allclose(stress, expected, rtol=1e-6)
 
 
+def test_error_of_a_layer_of_sloping_thickness_falls_at_second_order():
+    forces = []
+    for n in (2, 4, 8):
+        x, y = np.linspace(-0.5, 0.5, 2 * n + 1), np.linspace(0, 2, 3)
+        px, py = np.linspace(-1, 1, 65), np.linspace(-2, 4, 5)
+        thickness, unloaded = (
+            np.tile(0.5 + 0.05 * np.cos(np.pi * at), (rows, 1)) for at, rows in ((x, 3), (px, 5))
+        )
+        problem = LayerProblem(
+            LayerGrid(x, y, graded_depths(n), thickness),
+            Imprint(px, py, unloaded, np.full_like(unloaded, 0.45)),
+            C10,
+            C01,
+            1e4 * MU,
+            (0.0, 0.0),
+        )
+        solution = solve(problem, algebraic, solver="direct", tolerances=EXACT)
+        forces.append(solution.state.normal_force[1].sum())
+    coarse, fine = np.diff(forces)
+    assert 3.5 < coarse / fine < 4.5
+    assert abs(fine) < 0.005 * forces[-1]
+
+
 def wavy(nodes: int, depth: int, amplitude: float, wavelength: float = 1.0):
     """Layer of thickness 0.4 between rollers, just pressed, and a sinusoidal imprint."""
     length, thickness, ratio = 1.5 * wavelength, 0.4, 1e4
