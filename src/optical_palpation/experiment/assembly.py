@@ -156,7 +156,11 @@ def _lateral(
             f"{axis}, {0.25 * smaller:g} mm"
         )
     start = 0.5 * (layer - smaller)
-    inner = node_positions(smaller, size, start, edge=edge)
+    if edge is not None and edge > size:
+        within = start + edge + node_positions(smaller - 2 * edge, size)
+        inner = np.concatenate([[start], within, [start + smaller]])
+    else:
+        inner = node_positions(smaller, size, start, edge=edge)
     return _extended(inner, start, size), _extended(inner, 0.5 * (sample - smaller), size)
 
 

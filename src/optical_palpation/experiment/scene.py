@@ -194,7 +194,8 @@ class Mesh(_Part):
     """Elements: lateral ``element_size`` in mm, elements through the layer and the sample.
 
     ``layer_elements`` are of equal height; those of the sample grow away from the layer by
-    ``growth`` each, from the height of the layer's. ``edge_size``: width of the outermost elements.
+    ``growth`` each, from the height of the layer's. ``edge_size``: width of the outermost elements,
+    narrower where the stress at an edge matters, wider to calm a free edge that rolls.
     """
 
     element_size: Positive
