@@ -22,6 +22,7 @@ from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import NotConverged, Tolerances, equilibrate
 from optical_palpation.mechanics.problem import SAMPLE, LayerProblem
+from optical_palpation.volume import hdf5
 
 Array = NDArray[np.float64]
 
@@ -266,9 +267,13 @@ def read_calibration(
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
+        with hdf5.open_file(path):  # refuses what is no NetCDF-4 file, or damaged
+            pass
         dataset = xr.load_dataset(path, engine="h5netcdf")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: is no NetCDF-4 file ({error})") from None
+    except InputError:
+        raise
+    except Exception as error:  # whatever the libraries make of damaged data
+        raise InputError(f"{path}: is a damaged calibration ({error})") from error
     if "normalised_displacement" not in dataset:
         found = ", ".join(map(str, dataset.data_vars)) or "nothing"
         raise InputError(f"{path}: holds no calibration curves, but {found}")
