@@ -16,7 +16,6 @@ import json
 import os
 import platform
 import re
-import resource
 import signal
 import subprocess
 import sys
@@ -140,6 +139,12 @@ def warm_up(threads: int | None, solver: str = "auto") -> None:
         solve(flat, (size, size, 0.125), solver, threads=threads)
 
 
+def peak_memory() -> int:
+    """Bytes this process has held at most (``getrusage`` would count those of its parent, too)."""
+    status = Path("/proc/self/status").read_text()
+    return 1024 * int(re.search(r"VmHWM:\s*(\d+) kB", status)[1])
+
+
 def run_case(name: str, folder: Path, threads: int | None) -> dict:
     """Measure one case in this process, kernels compiled."""
     from optical_palpation.palpation.memory import predicted_memory
@@ -153,7 +158,7 @@ def run_case(name: str, folder: Path, threads: int | None) -> dict:
         start = time.perf_counter()
         solve(loaded, case.element_size, case.solver, case.cascade, threads)
         plain = time.perf_counter() - start
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 if plain else None
+    peak = peak_memory() if plain else None
     probe = Probe()
     with probe:  # once more, watched
         start = time.perf_counter()
@@ -177,7 +182,7 @@ def run_case(name: str, folder: Path, threads: int | None) -> dict:
         "krylov": probe.krylov,
         "krylov_largest": max(probe.krylov_each, default=0),
         "krylov_slow_share": float(np.mean([k >= 10 for k in probe.krylov_each] or [0])),
-        "peak_bytes": peak or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
+        "peak_bytes": peak or peak_memory(),
         "predicted_bytes": held + predicted_memory((nz, ny, nx), case.solver),
         "shares": {phase: s / watched for phase, s in probe.seconds.items()},
         "bytes_moved": probe.bytes_moved,

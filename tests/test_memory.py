@@ -22,7 +22,7 @@ from optical_palpation.palpation import computational_stress, memory, threads
 from optical_palpation.thickness import thickness_map, write_thickness_map
 
 MEASURE = """
-import json, resource, sys
+import json, re, sys
 import numpy as np, psutil
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import computational_stress
@@ -40,7 +40,8 @@ def solve(*size):
 solve(0.5, 0.5, 0.25)  # what is loaded or compiled once does not belong to the elements
 before = psutil.Process().memory_info().rss
 shape = solve(*map(float, sys.argv[2:]))
-peak = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+# getrusage would count the memory of this process's parent, too
+peak = 1024 * int(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1])
 print(json.dumps([shape, peak - before]))
 """
 
