@@ -11,19 +11,13 @@ import xarray as xr
 
 from optical_palpation.analysis import compare_maps, edge_response
 from optical_palpation.experiment import ExperimentResult, read_scene, run_experiment
+from optical_palpation.experiment.recovery import recovered_stress, recovery_errors
 from optical_palpation.experiment.scene import with_element_size
-from optical_palpation.palpation import (
-    Progress,
-    StressResult,
-    algebraic_stress,
-    computational_stress,
-)
+from optical_palpation.palpation import Progress
 from optical_palpation.present.experiment import write_experiment_figure
 from optical_palpation.present.output import atomic
 from optical_palpation.reproduce.record import Part, Row, Setting
 from optical_palpation.thickness import read_thickness_map
-
-_NOISE = 1e-3  # of each pixel, mm
 
 
 def sinusoid(setting: Setting) -> Part:
@@ -51,8 +45,12 @@ def cube(setting: Setting) -> Part:
     """Figure 5: a stiff cube on a plate."""
     true, seconds = _run(setting, "cube_on_plate", 0.1 if setting.quick else None)
     size = 0.1 if setting.quick else 0.02
-    recovered = _stress_of(
-        setting, true, true.maps["loaded_thickness"], size, true.scene.friction.sample
+    recovered = recovered_stress(
+        true,
+        element_size=(size, size, 0.0625),
+        noise=0.0,
+        threads=setting.threads,
+        progress=_reporter(setting, 0.5, 0.5, "stress from its thickness"),
     )
     part = Part(_about(true))
     picture = "figure-5.png"
@@ -97,29 +95,6 @@ def _reporter(
         setting.tell(start + share * now.load, f"{what}: {now.stage}, {now.newton} iterations")
 
     return report
-
-
-def _stress_of(
-    setting: Setting,
-    true: ExperimentResult,
-    loaded: xr.DataArray,
-    size: float,
-    sample_friction: float,
-    start: float = 0.5,
-    share: float = 0.5,
-) -> StressResult:
-    """Computational stress from the thickness alone."""
-    scene = true.scene
-    return computational_stress(
-        loaded,
-        scene.layer.thickness,
-        scene.layer.material,
-        window_friction=scene.friction.window,
-        sample_friction=sample_friction,
-        element_size=size if size >= 0.1 else (size, size, 0.0625),
-        threads=setting.threads,
-        progress=_reporter(setting, start, share, "stress from its thickness"),
-    )
 
 
 def _about(true: ExperimentResult) -> str:
@@ -169,24 +144,33 @@ def _recover(
     part: Part, setting: Setting, true: ExperimentResult, figure: str, size: float
 ) -> None:
     """Recover the stress from the thickness, without and with noise, and say how well."""
-    loaded = true.maps["loaded_thickness"]
-    noise = np.random.default_rng(0).normal(0.0, _NOISE, loaded.shape)
-    noisy = loaded.copy(data=loaded.values + noise)
     scene_friction = true.scene.friction.sample
     cases = (
-        ("no friction at the sample", loaded, 0.0),
-        ("no friction at the sample, pixel noise of 1 um", noisy, 0.0),
-        (f"friction {scene_friction:g} at the sample, as the scene's", loaded, scene_friction),
+        ("no friction at the sample", 0.0, 0.0, None),
+        ("no friction at the sample, pixel noise of 1 um", 1e-3, 0.0, None),
+        (f"friction {scene_friction:g} at the sample, as the scene's", 0.0, scene_friction, None),
+        (f"friction {scene_friction:g} at the sample, K/mu of 20", 0.0, scene_friction, 20.0),
     )
+    why = {
+        0.0: "the paper leaves friction at the sample out (section 4)",
+        scene_friction: "the imprint stands still sideways, where the real surface goes with the "
+        "layer: its friction is too much",
+    }
     picture = f"figure-{figure}.png"
-    for number, (what, seen, friction) in enumerate(cases):
-        recovered = _stress_of(setting, true, seen, size, friction, 0.5 + number / 6, 1 / 6)
+    for number, (what, noise, friction, bulk_to_shear) in enumerate(cases):
+        recovered = recovered_stress(
+            true,
+            element_size=size,
+            noise=noise,
+            sample_friction=friction,
+            bulk_to_shear=bulk_to_shear,
+            threads=setting.threads,
+            progress=_reporter(setting, 0.5 + number / 8, 1 / 8, "stress from its thickness"),
+        )
         if number == 0:
             write_experiment_figure(true, setting.folder / picture, recovered)
-        computational, algebraic = (
-            compare_maps(field, true.maps["axial_stress"], edge_width=0.5).sel(zone="interior")
-            for field in (recovered.maps["axial_stress"], _algebraic(seen, true))
-        )
+        errors = recovery_errors(true, recovered).sel(zone="interior")
+        computational, algebraic = (errors.sel(approach=a) for a in ("computational", "algebraic"))
         force = recovered.maps.attrs["sample_force_mN"] / true.maps.attrs["sample_force_mN"] - 1
         part.rows.append(
             Row(
@@ -196,10 +180,10 @@ def _recover(
                 f"{float(computational['relative_rms']):.1%} (bias "
                 f"{float(computational['relative_bias']):+.1%}, force {force:+.1%}); algebraic "
                 f"{float(algebraic['relative_rms']):.0%}",
-                "the paper leaves friction at the sample out (section 4)"
-                if friction == 0
-                else "the imprint stands still sideways, where the real surface goes with the "
-                "layer: its friction is too much",
+                why[friction]
+                if bulk_to_shear is None
+                else "the published code's default: a compressible layer is softer, which makes up "
+                "for too much friction",
             )
         )
     part.pictures.append(
@@ -209,11 +193,6 @@ def _recover(
             f"{figure} of the paper).",
         )
     )
-
-
-def _algebraic(seen: xr.DataArray, true: ExperimentResult) -> xr.DataArray:
-    layer = true.scene.layer
-    return algebraic_stress(seen, layer.thickness, layer.material)
 
 
 def _edge(stress: xr.DataArray) -> float:
