@@ -30,7 +30,7 @@ Report = Callable[[Assembly, float, Balance], None]
 #: Factor by which friction is softened while a solution changes meshes.
 _CHANGE_OF_MESH = 20.0
 #: Newton iterations after which a step on a finer mesh is halved.
-_PATIENCE = 14
+_PATIENCE = 20
 
 
 def solve(levels: list[Assembly], report: Report | None = None) -> Path:
