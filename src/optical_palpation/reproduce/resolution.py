@@ -213,6 +213,6 @@ def _draw(solved: dict[str, xr.Dataset], field: float, path: Any) -> None:
     right.set(xlabel="distance inwards from the edge (um)", ylabel="axial stress (kPa)")
     right.set(xlim=(-150, 150))
     right.grid(alpha=0.3)
-    right.legend(frameon=False, fontsize=8, markerscale=5, loc="upper right")
+    right.legend(frameon=False, fontsize=8, markerscale=5, loc="lower left")
     with atomic(path, "picture") as temporary:
         figure.savefig(temporary, dpi=150)
