@@ -168,7 +168,7 @@ def computational_stress(
         ) from None
 
     layer, surface = _layer(solution)
-    maps = _maps(solution, surface, loaded, algebraic)
+    maps = _maps(solution, surface, loaded, algebraic, sizes)
     sides = side_contact(solution.problem, solution.state).normal_force.sum(1)
     window_force, sample_force = map(float, solution.state.normal_force.sum((1, 2)) + sides)
     maps.attrs = {
@@ -441,13 +441,16 @@ def _evenly_spaced(nodes: Array) -> slice:
 
 
 def _maps(
-    solution: Solution, surface: dict[str, Array], loaded: xr.DataArray, algebraic: xr.DataArray
+    solution: Solution,
+    surface: dict[str, Array],
+    loaded: xr.DataArray,
+    algebraic: xr.DataArray,
+    sizes: tuple[float, float, float],
 ) -> xr.Dataset:
-    """Surface fields in the laboratory frame, on uniform points at the elements' spacing."""
+    """Surface fields in the laboratory frame, on even points as far apart as the element size."""
     grid = solution.problem.grid
     x0, x1, y0, y1 = layer_extent_of(loaded)
-    _, size_y, size_x = grid.spacing()
-    x, y = node_positions(x1 - x0, size_x, x0), node_positions(y1 - y0, size_y, y0)
+    x, y = node_positions(x1 - x0, sizes[0], x0), node_positions(y1 - y0, sizes[1], y0)
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
     moved = surface["y"] - grid.y[:, None], surface["x"] - grid.x
     lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
