@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.material.laws import MooneyRivlin
@@ -183,7 +183,7 @@ def fit_uniaxial(test: UniaxialTest, law: LawName = "mooney-rivlin") -> Uniaxial
             f"{test.strain.min():g} to {test.strain.max():g}); widen the range or take fewer "
             "parameters"
         )
-    quantile = float(student_t.ppf(0.975, freedom))
+    quantile = float(stdtrit(freedom, 0.975))
     values = dict(zip(definition.parameters, (float(v) for v in best.x), strict=True))
     half = quantile * np.sqrt(np.diag(covariance))
     weights = np.asarray(definition.modulus)

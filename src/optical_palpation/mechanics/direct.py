@@ -6,10 +6,12 @@ import os
 from functools import lru_cache
 from typing import ClassVar
 
+import numba as nb
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
+from threadpoolctl import threadpool_limits
 
 from .system import NewtonSystem
 
@@ -55,7 +57,9 @@ def sparse_solve(matrix: sp.csr_matrix, rhs: Array) -> Array:
     os.environ.setdefault("PYPARDISO_MKL_RT", pypardiso.ps.libmkl._name)
     solver = pypardiso.PyPardisoSolver()
     try:
-        return solver.solve(matrix, rhs)
+        # MKL is loaded only here, after the threads of the run were set
+        with threadpool_limits(nb.get_num_threads(), user_api="blas"):
+            return solver.solve(matrix, rhs)
     finally:
         solver.free_memory(everything=True)
 

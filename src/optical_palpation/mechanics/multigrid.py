@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 from . import stencil as st
 from .direct import sparse_matrix
@@ -129,6 +130,7 @@ class Hierarchy:
         self, positions: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
     ) -> None:
         """Build the levels for the node ``positions`` (z, y, x), mm."""
+        self._libraries = ThreadpoolController()
         self.levels: list[Level] = []
         while True:
             shape = tuple(len(p) for p in positions)
@@ -166,7 +168,10 @@ class Hierarchy:
         coarsest = self.levels[-1]
         self._free = free
         matrix = sparse_matrix(coarsest.stencil, free)
-        self._lu = scipy.linalg.lu_factor(matrix.toarray().astype(np.float32), check_finite=False)
+        dense = matrix.toarray().astype(np.float32)
+        # too small for threads, which on busy cores wait for one another a hundred times as long
+        with self._libraries.limit(limits=1, user_api="blas"):
+            self._lu = scipy.linalg.lu_factor(dense, check_finite=False)
 
     def cycle(self, b: Vector) -> Vector:
         """One V-cycle from zero for the right-hand side ``b`` (with halo); the result is reused."""

@@ -64,7 +64,7 @@ _SMOOTHING = (3e-3, 1e-3)
 
 
 #: Newton iterations in which the error must fall, or a smaller load is tried.
-_STAGNATION = 5
+_STAGNATION = 12
 
 
 @dataclass

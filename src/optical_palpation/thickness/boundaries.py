@@ -10,7 +10,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
-from scipy.signal import savgol_filter
 
 from optical_palpation.errors import InputError
 
@@ -348,6 +347,8 @@ def _outliers(
     depth: NDArray[np.float64], lateral: tuple[float, float], sigma: float
 ) -> NDArray[np.bool_]:
     """Hampel identifier in two dimensions: far from the median of the neighbourhood."""
+    from scipy.signal import savgol_filter  # slow to load, and not needed without volumes
+
     rest = depth.copy()
     size = [1, 1]
     for axis, (s, n) in enumerate(zip(lateral, depth.shape, strict=True)):
