@@ -243,7 +243,7 @@ def test_interrupt_while_solving(here):
     """Ctrl-C once the load is on its way: one line, status 130, no file."""
     before = files(here)
     program = "from optical_palpation.cli import main; main()"
-    arguments = [*GOOD, "--element-size", "0.05", "--threads", "1", "--plot", "o.png"]
+    arguments = [*GOOD, "--element-size", "0.03", "--threads", "1", "--plot", "o.png"]
     with subprocess.Popen(
         [sys.executable, "-c", program, "stress", *arguments],
         stdout=subprocess.PIPE,

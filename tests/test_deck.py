@@ -9,12 +9,12 @@ import pytest
 
 from calculix import CalculixResult, calculix_installed, run_calculix
 from optical_palpation.errors import InputError, OutputError
-from optical_palpation.mechanics.direct import DirectSolver
+from optical_palpation.mechanics.cascade import solve
 from optical_palpation.mechanics.elements import GRADIENTS, element_stress
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths, node_positions
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import Tolerances
-from optical_palpation.mechanics.path import StepControl, follow
+from optical_palpation.mechanics.path import StepControl
 from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.present.deck import read_deck_result, write_deck
 
@@ -165,8 +165,14 @@ def ours(problem: LayerProblem) -> tuple[float, np.ndarray]:
     """Return total force and mean Cauchy stress of 2 x 2 x 2 elements, our solver."""
     grid = problem.grid
     guess = problem.shear_modulus * grid.surface_areas(grid.nodes[:, -1])
-    solver = DirectSolver(problem.bulk_modulus)
-    state, _, _ = follow(problem, solver, Tolerances(), guess, StepControl(0.1, 0.1))
+    state = solve(
+        problem,
+        lambda _: guess,
+        solver="direct",
+        cascade=False,
+        tolerances=Tolerances(),
+        control=StepControl(0.1, 0.1),
+    ).state
     stress = np.empty((6, *grid.shape))
     element_stress(grid.nodes, state.u, state.p, problem.c10, problem.c01, GRADIENTS, stress)
     nz, ny, nx = (count // 2 for count in grid.shape)
