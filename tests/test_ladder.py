@@ -408,7 +408,7 @@ def coin(shared_data):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("edges", ["free", "roller"])
+@pytest.mark.parametrize("edges", ["free", "roller", "padded"])
 def test_real_coin_reaches_full_load_and_two_grids_agree(coin, edges):
     total = [
         computational_stress(

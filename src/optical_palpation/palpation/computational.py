@@ -305,7 +305,8 @@ def _padded(nodes: Array, width: float) -> Array:
     count = 1
     while size * (1.2 ** (count + 1) - 1.2) / 0.2 < width:
         count += 1
-    beyond = np.cumsum(size * 1.2 ** np.arange(1, count + 1))
+    beyond = np.cumsum(1.2 ** np.arange(1, count + 1))
+    beyond *= width / beyond[-1]  # how far the layer goes on decides the force
     return np.concatenate([nodes[0] - beyond[::-1], nodes, nodes[-1] + beyond])
 
 
