@@ -24,3 +24,18 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("third-party test data not found in ../shared/data")
     return folder.resolve()
+
+
+@pytest.fixture
+def run(capsys):
+    """Run a command as a user would; the exit status and what it wrote to stdout and stderr."""
+    from optical_palpation.cli import main
+
+    def run(*arguments):
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as leaving:
+            main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return leaving.value.code or 0, out, err
+
+    return run

@@ -10,7 +10,6 @@ import pytest
 import scipy.io
 import xarray as xr
 
-from optical_palpation.cli import main
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import ContactState, algebraic_stress, computational_stress
 from optical_palpation.present import read_result
@@ -30,18 +29,6 @@ def here(tmp_path, monkeypatch):
     y, x = np.meshgrid(np.linspace(0, 1.5, 13), np.linspace(0, 2, 17), indexing="ij")
     np.save("map.npy", 0.42 - 0.04 * np.exp(-((x - 0.7) ** 2 + (y - 1) ** 2) / 0.2))
     return tmp_path
-
-
-@pytest.fixture
-def run(capsys):
-    def run(*arguments):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as leaving:
-            main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return leaving.value.code or 0, out, err
-
-    return run
 
 
 def test_algebraic_method_end_to_end(here, run):

@@ -67,18 +67,6 @@ def here(tmp_path, monkeypatch, made):
     return tmp_path
 
 
-@pytest.fixture
-def run(capsys):
-    def run(*arguments):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as leaving:
-            main(["friction", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        return leaving.value.code or 0, out, err
-
-    return run
-
-
 def test_profile_end_to_end(here, made, run):
     record = json.loads((made / "mu.json").read_text())
     assert record["friction"] == pytest.approx(0.15, abs=0.02)
@@ -91,6 +79,7 @@ def test_profile_end_to_end(here, made, run):
     np.testing.assert_array_equal(curves["friction"], [0.05, 0.2, 0.35])
     # What was saved gives the same answer, without being computed again.
     status, out, err = run(
+        "friction",
         *("profile.csv", "--depth-in-mm", *PRELOAD, "--calibration", made / "curves.nc"),
         *("--output", "again.json"),
     )
@@ -102,7 +91,9 @@ def test_profile_end_to_end(here, made, run):
 def test_volumes_end_to_end(here, made, run):
     measurement = ["before.npy", "after.npy", *VOLUMES, *FACES, *OPTICS]
     curves = ["--calibration", made / "curves.nc", "--region", 1.6]
-    status, out, _ = run(*measurement, *curves, "--output", "mu.json", "--plot", "mu.pdf")
+    status, out, _ = run(
+        "friction", *measurement, *curves, "--output", "mu.json", "--plot", "mu.pdf"
+    )
     assert status == 0
     record = json.loads((here / "mu.json").read_text())
     assert record["friction"] == pytest.approx(0.15, abs=0.03)
@@ -111,6 +102,7 @@ def test_volumes_end_to_end(here, made, run):
     # An optical path is divided by the index: the faces of the layer move with it.
     optical = [str(v) if v != 0.004 else "0.0056" for v in VOLUMES]
     status, _, _ = run(
+        "friction",
         *("before.npy", "after.npy", *optical, *FACES, *OPTICS, *curves),
         *("--optical-depth", "--output", "optical.json"),
     )
@@ -119,7 +111,7 @@ def test_volumes_end_to_end(here, made, run):
 
 
 def test_curves_alone(here, made, run):
-    status, out, _ = run("--calibration", made / "curves.nc", "--plot", "curves.svg")
+    status, out, _ = run("friction", "--calibration", made / "curves.nc", "--plot", "curves.svg")
     assert status == 0
     assert out.strip() == "picture: curves.svg"
     assert "friction 0.35" in (here / "curves.svg").read_text()
@@ -129,7 +121,7 @@ def test_coefficient_outside_the_curves_is_said(here, made, run):
     depth = np.linspace(0.05, 0.95, 30)
     table = np.column_stack([depth, depth**2])
     np.savetxt("bent.csv", table, delimiter=",", header="depth,displacement", comments="")
-    status, out, _ = run("bent.csv", "--calibration", made / "curves.nc")
+    status, out, _ = run("friction", "bent.csv", "--calibration", made / "curves.nc")
     assert status == 0
     assert "friction at the window: 0.350" in out
     assert "WARNING" in out
@@ -170,7 +162,7 @@ def test_bad_input_is_named_and_nothing_written(here, made, run, arguments, mess
     arguments = [str(made / "curves.nc") if a == "CURVES" else a for a in arguments]
     outputs = [] if {"--output", "--plot"} & set(arguments) else ["--output", "o.json"]
     before = {path.name: path.read_bytes() for path in here.iterdir()}
-    status, out, err = run(*arguments, *outputs) if arguments else run()
+    status, out, err = run("friction", *arguments, *outputs) if arguments else run("friction")
     assert status == 2
     assert message in " ".join(err.split()).replace("│ ", "").replace(" │", "")
     assert "Traceback" not in err

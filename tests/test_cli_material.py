@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from optical_palpation.cli import main
 from optical_palpation.material import MooneyRivlin
 
 LAYER = MooneyRivlin(2.23, 0.703)
@@ -17,18 +16,6 @@ def here(tmp_path, monkeypatch):
     """An empty folder to work in."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-@pytest.fixture
-def run(capsys):
-    def run(*arguments):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as leaving:
-            main(["material", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        return leaving.value.code or 0, out, err
-
-    return run
 
 
 def write_test(path, *, contact=0.0, largest=0.4, noise=0.005, header="strain,stress_kPa", sign=-1):
@@ -43,7 +30,7 @@ def write_test(path, *, contact=0.0, largest=0.4, noise=0.005, header="strain,st
 
 def test_fit_end_to_end(here, run):
     write_test("test.csv", contact=0.03)
-    status, out, err = run("test.csv", "--output", "fits.json", "--plot", "fits.png")
+    status, out, err = run("material", "test.csv", "--output", "fits.json", "--plot", "fits.png")
     assert (status, err) == (0, "")
     assert (here / "fits.png").stat().st_size > 10000
     record = json.loads((here / "fits.json").read_text())
@@ -66,7 +53,9 @@ def test_fit_end_to_end(here, run):
 def test_contact_and_range_by_hand(here, run):
     write_test("test.csv", contact=0.03)
     arguments = "--contact", 0.03, "--strain-range", 0.05, 0.2, "--law", "neo-hookean"
-    status, out, _ = run("test.csv", *arguments, "--output", "fits.json", "--plot", "fits.pdf")
+    status, out, _ = run(
+        "material", "test.csv", *arguments, "--output", "fits.json", "--plot", "fits.pdf"
+    )
     assert status == 0
     record = json.loads((here / "fits.json").read_text())
     assert record["contact_strain"] == -0.03
@@ -74,13 +63,22 @@ def test_contact_and_range_by_hand(here, run):
     assert -0.06 < record["strain_range"][1] <= -0.05
     assert [fit["law"] for fit in record["fits"]] == ["neo-hookean"]
     assert "0.03 (given)" in out
-    run("test.csv", "--contact", 0.03, "--law", "mooney-rivlin", "--output", "whole.json")
+    run(
+        "material",
+        "test.csv",
+        "--contact",
+        0.03,
+        "--law",
+        "mooney-rivlin",
+        "--output",
+        "whole.json",
+    )
     intervals = json.loads((here / "whole.json").read_text())["fits"][0]["intervals_95"]
     assert intervals["c10"][0] < 2.23 < intervals["c10"][1]
     assert intervals["c01"][0] < 0.703 < intervals["c01"][1]
     assert intervals["c10"][1] - intervals["c10"][0] < 0.1
     # Trusting the recorded zero gives a layer that is too soft.
-    run("test.csv", "--contact", 0, "--law", "neo-hookean", "--output", "trusted.json")
+    run("material", "test.csv", "--contact", 0, "--law", "neo-hookean", "--output", "trusted.json")
     trusted = json.loads((here / "trusted.json").read_text())["fits"][0]
     fitted = record["fits"][0]
     assert trusted["initial_youngs_modulus_kPa"] < 0.97 * fitted["initial_youngs_modulus_kPa"]
@@ -91,10 +89,12 @@ def test_displacement_and_force_counted_positive(here, run):
     force = -LAYER.uniaxial_stress(-recorded / 10.0) * 50.0 / 1e3
     pd.DataFrame({"travel": recorded, "load_N": force}).to_csv("machine.csv", index=False)
     size = "--height", 10, "--area", 50, "--strain-column", "travel"
-    status, _, err = run("machine.csv", *size)
+    status, _, err = run("material", "machine.csv", *size)
     assert status == 2
     assert "compression" in err
-    status, out, _ = run("machine.csv", *size, "--loading", "compression", "--contact", 0)
+    status, out, _ = run(
+        "material", "machine.csv", *size, "--loading", "compression", "--contact", 0
+    )
     assert status == 0
     assert "c10 2.23 kPa" in out
     assert "c01 0.703 kPa" in out
@@ -109,6 +109,7 @@ def test_published_fits_by_their_protocol(here, run, shared_data):
     assert len(oracle) == 6
     for _, row in oracle.iterrows():
         status, _, _ = run(
+            "material",
             folder / f"abd_{row['phantom']}_mean10.csv",
             *("--measure", row["stress_measure"], "--contact", 0, "--strain-range", 1e-9, 1),
             *("--law", "mooney-rivlin", "--output", "fits.json"),
@@ -120,7 +121,7 @@ def test_published_fits_by_their_protocol(here, run, shared_data):
 
 
 def test_unstable_fit_is_flagged_and_not_recommended(here, run, shared_data):
-    status, out, _ = run(shared_data / "uniaxial" / "abd_EF10_50T_mean10.csv")
+    status, out, _ = run("material", shared_data / "uniaxial" / "abd_EF10_50T_mean10.csv")
     assert status == 0
     assert "mooney-rivlin: UNSTABLE" in out
     assert "WARNING" in out
@@ -147,7 +148,7 @@ def test_bad_input_is_named_and_nothing_written(here, run, arguments, message):
     (here / "text.csv").write_text("strain,stress\n0,0\n-0.1,-1\nx,y\n-0.2,-2\n-0.3,-3\n-0.4,-4\n")
     outputs = [] if {"--output", "--plot"} & set(arguments) else ["--output", "o.json"]
     before = {path.name: path.read_bytes() for path in here.iterdir()}
-    status, out, err = run(*arguments, *outputs)
+    status, out, err = run("material", *arguments, *outputs)
     assert status == 2
     assert message in err
     assert "Traceback" not in err

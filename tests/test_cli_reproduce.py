@@ -5,7 +5,6 @@ import re
 
 import pytest
 
-from optical_palpation.cli import main
 from optical_palpation.reproduce import PARTS
 
 
@@ -14,18 +13,6 @@ def here(tmp_path, monkeypatch):
     """An empty folder to work in."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-@pytest.fixture
-def run(capsys):
-    def run(*arguments):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as leaving:
-            main(["reproduce", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        return leaving.value.code or 0, out, err
-
-    return run
 
 
 def cells(page, what):
@@ -37,7 +24,7 @@ def cells(page, what):
 
 def test_parts_and_page(here, run):
     only = ["--only", "friction", "--only", "resolution"]
-    status, out, err = run("--output", "page", *only, "--quick")
+    status, out, err = run("reproduce", "--output", "page", *only, "--quick")
     assert status == 0
     assert out == "page: page/index.md\n"
     assert "resolution: " in err
@@ -63,18 +50,20 @@ def test_parts_and_page(here, run):
     # What is there already is kept, whatever else is asked for.
     record = here / "page/resolution.json"
     made = record.stat().st_mtime_ns
-    assert run("--output", "page", *only, "--quick", "--quiet") == (0, "", "")
+    assert run("reproduce", "--output", "page", *only, "--quick", "--quiet") == (0, "", "")
     assert record.stat().st_mtime_ns == made
     # A picture that is gone is made again.
     (here / "page/section-7.png").unlink()
-    assert run("--output", "page", "--only", "resolution", "--quick")[0] == 0
+    assert run("reproduce", "--output", "page", "--only", "resolution", "--quick")[0] == 0
     assert record.stat().st_mtime_ns > made
     assert (here / "page/section-7.png").exists()
 
 
 def test_parts_from_third_party_data(here, run, shared_data):
     data = ["--data", shared_data]
-    status, _, _ = run("--output", "page", "--only", "material", "--only", "phase", *data)
+    status, _, _ = run(
+        "reproduce", "--output", "page", "--only", "material", "--only", "phase", *data
+    )
     assert status == 0
     page = (here / "page/index.md").read_text()
     assert "--quick`" not in page
@@ -89,19 +78,19 @@ def test_parts_from_third_party_data(here, run, shared_data):
     # A quick part does not stand for a whole one, nor the reverse.
     record = here / "page/phase.json"
     assert json.loads(record.read_text())["quick"] is False
-    run("--output", "page", "--only", "phase", *data, "--quick")
+    run("reproduce", "--output", "page", "--only", "phase", *data, "--quick")
     assert json.loads(record.read_text())["quick"] is True
     assert "--quick`" in (here / "page/index.md").read_text()
-    run("--output", "page", "--only", "phase", *data)
+    run("reproduce", "--output", "page", "--only", "phase", *data)
     assert json.loads(record.read_text())["quick"] is False
     made = record.stat().st_mtime_ns
-    run("--output", "page", "--only", "phase", *data, "--again")
+    run("reproduce", "--output", "page", "--only", "phase", *data, "--again")
     assert record.stat().st_mtime_ns > made
 
 
 @pytest.mark.slow
 def test_everything_quickly(here, run, shared_data):
-    status, out, _ = run("--output", "page", "--data", shared_data, "--quick")
+    status, out, _ = run("reproduce", "--output", "page", "--data", shared_data, "--quick")
     assert (status, out) == (0, "page: page/index.md\n")
     page = (here / "page/index.md").read_text()
     assert "Not made" not in page
@@ -119,7 +108,7 @@ def test_everything_quickly(here, run, shared_data):
     ],
 )
 def test_bad_input_is_named_and_nothing_written(here, run, arguments, message):
-    status, out, err = run("--output", "page", *arguments)
+    status, out, err = run("reproduce", "--output", "page", *arguments)
     assert status == 2
     assert message in err
     assert "Traceback" not in err
@@ -129,14 +118,14 @@ def test_bad_input_is_named_and_nothing_written(here, run, arguments, message):
 
 def test_output_that_is_a_file(here, run):
     (here / "page").write_text("mine")
-    status, _, err = run("--output", "page", "--only", "phase")
+    status, _, err = run("reproduce", "--output", "page", "--only", "phase")
     assert status == 2
     assert "page" in err
     assert (here / "page").read_text() == "mine"
 
 
 def test_part_without_its_data(here, run):
-    status, _, err = run("--output", "page", "--only", "phase")
+    status, _, err = run("reproduce", "--output", "page", "--only", "phase")
     assert status == 2
     assert "--data" in err
     page = (here / "page/index.md").read_text()

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from optical_palpation.cli import main
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import computational_stress
 from optical_palpation.thickness import thickness_map
@@ -39,21 +38,9 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.fixture
-def run(capsys):
-    def run(*arguments):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as leaving:
-            main(["uncertainty", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        return leaving.value.code or 0, out, err
-
-    return run
-
-
 def test_end_to_end(here, run):
     status, out, err = run(
-        "study.toml", "--modulus", 0.03, "--thickness-noise", 0.001, "--probes", 1
+        "uncertainty", "study.toml", "--modulus", 0.03, "--thickness-noise", 0.001, "--probes", 1
     )
     assert status == 0
     assert "solve 8 of 8" in err
@@ -95,9 +82,9 @@ def test_end_to_end(here, run):
 
 def test_files_of_choice_and_the_study_is_not_solved_again(here, run):
     only = ["--window-friction", 0.05, "--sample-friction", 0]
-    assert run("study.toml", *only)[0] == 0
+    assert run("uncertainty", "study.toml", *only)[0] == 0
     solved = (here / "results" / "stress.nc").stat().st_mtime_ns
-    status, out, err = run(
+    status, out, err = run("uncertainty",
         "study.toml", *only, "--output", "e.nc", "--plot", "e.pdf", "--quiet"
     )  # fmt: skip
     assert (status, out, err) == (0, "", "")
@@ -121,7 +108,7 @@ def test_files_of_choice_and_the_study_is_not_solved_again(here, run):
 def test_bad_input_is_named_and_nothing_written(here, run, arguments, message):
     (here / "broken.toml").write_text(STUDY.replace("[2.0, 1.5]", "[2.0, 1.5]\nvariable = 'a'"))
     before = {path.name for path in here.iterdir()}
-    status, out, err = run(*arguments)
+    status, out, err = run("uncertainty", *arguments)
     assert status == 2
     assert message in err
     assert "Traceback" not in err

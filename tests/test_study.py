@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from optical_palpation.cli import main
 from optical_palpation.present import read_result
 from optical_palpation.study import read_study, run_study
 from optical_palpation.study.script import reproducing_lines
@@ -58,18 +57,6 @@ def done(finished, tmp_path, monkeypatch):
     shutil.copytree(finished, tmp_path / "work")
     monkeypatch.chdir(tmp_path / "work")
     return tmp_path / "work" / "study-results"
-
-
-@pytest.fixture
-def run(capsys):
-    def run(*arguments):
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as leaving:
-            main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return leaving.value.code or 0, out, err
-
-    return run
 
 
 def stages(folder):

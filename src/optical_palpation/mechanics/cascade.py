@@ -1,4 +1,4 @@
-"""From coarse to fine: the first half of the load path on a coarse grid, the rest on the finest.
+"""From coarse to fine: the load path begins on a coarse grid and ends on the finest.
 
 A Newton step costs little on a coarse grid, so the load path is begun there. Its state at the
 handover is carried from grid to grid, displacement, pressure, contact forces and friction memory
@@ -178,7 +178,7 @@ def _carried(
             report(state.load, iteration, now, krylov)
 
     count = equilibrate(fine, state, linear, tolerances, forward)
-    state.anchor = np.stack([state.u[:2, 0], state.u[:2, -1]])
+    state.anchor = state.lateral()
     full.u += state.u
     full.p += state.p
     return state, full, count

@@ -104,8 +104,7 @@ def complementarity_scale(problem: LayerProblem) -> Array:
 
 def slip_coordinate(problem: LayerProblem, state: LayerState) -> Array:
     """The slip w of both faces in slip lengths, memory included, (2, 2, ny + 1, nx + 1)."""
-    lateral = np.stack([state.u[:2, 0], state.u[:2, -1]])
-    return state.slip + (lateral - state.anchor) / problem.slip_length
+    return state.slip + (state.lateral() - state.anchor) / problem.slip_length
 
 
 def friction_direction(w: Array) -> Array:
@@ -288,7 +287,7 @@ def remember_slip(problem: LayerProblem, state: LayerState) -> None:
     size = np.sqrt((w**2).sum(1, keepdims=True))
     w *= np.minimum(1.0, _MEMORY / np.maximum(size, 1e-300))
     state.slip = np.where(state.touching(problem)[:, None], w, 0.0)
-    state.anchor = np.stack([state.u[:2, 0], state.u[:2, -1]])
+    state.anchor = state.lateral()
 
 
 def friction_fraction(problem: LayerProblem, state: LayerState) -> Array:

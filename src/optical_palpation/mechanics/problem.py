@@ -103,6 +103,10 @@ class LayerState:
             *(getattr(self, name).copy() for name in ("u", "p", "slip", "anchor", "normal_force")),
         )
 
+    def lateral(self) -> Array:
+        """Return the lateral displacement of both faces, (2, 2, ny + 1, nx + 1), mm."""
+        return np.stack([self.u[:2, 0], self.u[:2, -1]])
+
     def touching(self, problem: LayerProblem) -> NDArray[np.bool_]:
         """Return which surface nodes are in contact, (2, ny + 1, nx + 1)."""
         nodes = problem.grid.nodes + self.u
