@@ -8,7 +8,8 @@ import pytest
 import xarray as xr
 
 from optical_palpation.errors import ConvergenceError, InputError
-from optical_palpation.experiment import Scene, equilibrium, read_scene, run_experiment, scene_names
+from optical_palpation.experiment import Scene, read_scene, run_experiment, scene_names
+from optical_palpation.experiment import path as load_path
 from optical_palpation.experiment.assembly import at_rest, build
 from optical_palpation.experiment.equilibrium import LAYER, balance, newton_step
 from optical_palpation.experiment.scene import _random_field, with_element_size
@@ -245,7 +246,7 @@ def test_forces_of_the_interface_balance_and_so_do_their_moments():
     position = assembly.position(u)
     meeting = assembly.meet(position, 0.0)[1]
     assert np.allclose(meeting.weights.sum(1), 0, atol=1e-12)
-    assert np.allclose(meeting.lateral_offset(position), 0, atol=1e-9)
+    assert np.allclose(meeting.lateral(position), 0, atol=1e-9)
 
 
 def test_a_soft_sample_carries_the_layer_outwards_and_a_stiff_one_holds_it():
@@ -374,14 +375,14 @@ def test_bad_arrays():
 
 def test_compression_out_of_reach_says_how_far_it_came(monkeypatch):
     """Loads above 0.3 fail here, so that the path must halve its steps and give up near there."""
-    solve = equilibrium.equilibrate
+    solve = load_path.equilibrate
 
     def fails_late(assembly, state, *arguments):
         if state.load > 0.3:
-            raise equilibrium.NotConverged("an element turned inside out")
+            raise load_path.NotConverged("an element turned inside out")
         return solve(assembly, state, *arguments)
 
-    monkeypatch.setattr(equilibrium, "equilibrate", fails_late)
+    monkeypatch.setattr(load_path, "equilibrate", fails_late)
     with pytest.raises(ConvergenceError, match=r"to (29\.\d|30\.0) % of 0\.05 mm only: an element"):
         run_experiment(scene(compression=0.05), threads=1)
 

@@ -9,7 +9,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from optical_palpation.errors import InputError
 from optical_palpation.experiment.bodies import Body
-from optical_palpation.experiment.contact import ContactState, Interface, Plane
+from optical_palpation.experiment.contact import ContactState
 from optical_palpation.experiment.equilibrium import (
     INTERFACE,
     LAYER,
@@ -18,6 +18,7 @@ from optical_palpation.experiment.equilibrium import (
     Assembly,
     State,
 )
+from optical_palpation.experiment.meeting import Interface, Plane
 from optical_palpation.experiment.scene import Scene, map_height, volume_factor
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 

@@ -14,15 +14,12 @@ from optical_palpation.experiment.equilibrium import (
     SIDES,
     Assembly,
     Balance,
-    LoadNotReached,
     NotConverged,
-    Path,
     State,
-    StepControl,
     equilibrate,
-    follow,
 )
 from optical_palpation.experiment.linear import LinearSolver
+from optical_palpation.experiment.path import LoadNotReached, Path, StepControl, follow
 
 Array = NDArray[np.float64]
 Report = Callable[[Assembly, float, Balance], None]
@@ -119,7 +116,7 @@ def _prolonged(state: State, coarse: Assembly, fine: Assembly) -> State:
         u=u,
         p=(p[0], p[1]),
         contacts=tuple(
-            ContactState(force, memory, meeting, meeting.lateral_offset(position))
+            ContactState(force, memory, meeting, meeting.lateral(position))
             for (force, memory), meeting in zip(
                 contacts, fine.meet(position, state.load), strict=True
             )
@@ -131,7 +128,7 @@ def _anchored(state: State, assembly: Assembly) -> State:
     """Return the state with the anchors where it is and the friction memory it had."""
     position = assembly.position(state.u)
     contacts = tuple(
-        replace(contact, anchor=meeting, offset=meeting.lateral_offset(position))
+        replace(contact, anchor=meeting, offset=meeting.lateral(position))
         for contact, meeting in zip(
             state.contacts, assembly.meet(position, state.load), strict=True
         )

@@ -1,9 +1,9 @@
-"""Equilibrium of window, layer, sample and plate: Newton's method along the load path."""
+"""Equilibrium of window, layer, sample and plate at one load, by Newton's method."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,14 +13,12 @@ from optical_palpation.experiment.bodies import Body, BodyForces
 from optical_palpation.experiment.contact import (
     ContactState,
     ContactTerms,
-    Interface,
-    Meeting,
-    Plane,
     assembled,
     linearise,
-    remembered,
 )
 from optical_palpation.experiment.linear import LinearSolver
+from optical_palpation.experiment.meeting import Interface, Meeting, Plane
+from optical_palpation.mechanics.contact import friction_direction
 from optical_palpation.mechanics.grid import LayerGrid
 
 Array = NDArray[np.float64]
@@ -131,14 +129,6 @@ class NotConverged(Exception):
     """Newton's method failed at this load; carries the reason."""
 
 
-class LoadNotReached(Exception):
-    """The load path ended early; carries the load reached and the reason."""
-
-    def __init__(self, load: float, reason: str) -> None:
-        super().__init__(reason)
-        self.load, self.reason = load, reason
-
-
 @dataclass(frozen=True, eq=False)
 class Balance:
     """Internal forces and contact of a state, and how far it is from equilibrium."""
@@ -151,8 +141,13 @@ class Balance:
     min_jacobian: float
 
 
-def balance(assembly: Assembly, state: State, smoothing: float = _SMOOTHING[1]) -> Balance:
-    """Evaluate equilibrium, incompressibility and contact of a state."""
+def balance(
+    assembly: Assembly,
+    state: State,
+    smoothing: float = _SMOOTHING[1],
+    directions: Sequence[Array] | None = None,
+) -> Balance:
+    """Evaluate equilibrium, incompressibility and contact of a state (see ``linearise``)."""
     parts = [
         body.forces(u, p)
         for body, u, p in zip(assembly.bodies, assembly.split(state.u), state.p, strict=True)
@@ -168,14 +163,16 @@ def balance(assembly: Assembly, state: State, smoothing: float = _SMOOTHING[1]) 
             scale,
             max(smoothing, least) * assembly.shear_modulus * area,
             assembly.slip_length,
+            direction,
         )
-        for contact, meeting, own, scale, area, least in zip(
+        for contact, meeting, own, scale, area, least, direction in zip(
             list[Plane | Interface](assembly.contacts),
             assembly.meet(position, state.load),
             state.contacts,
             assembly.scales,
             assembly.areas,
             (0.0, 0.0, 0.0, _SIDES),
+            directions or (None,) * 4,
             strict=True,
         )
     ]
@@ -212,11 +209,10 @@ def newton_step(
         extra = _scatter(divergence, bulk * part.volume_residual)
         start = 0 if body is assembly.bodies[LAYER] else assembly.bodies[LAYER].n_nodes
         force[start : start + body.n_nodes] += extra.reshape(3, -1).T
-    matrix = sp.bsr_matrix(sp.block_diag(blocks, "bsr")) + contact
     residual = now.internal + force
     # a trace of stiffness in the tangent alone holds what nothing else holds yet
     hold = 1e-6 * assembly.shear_modulus * assembly.bodies[LAYER].grid.spacing()[2]
-    matrix = matrix.tocsr() + hold * sp.identity(matrix.shape[0], format="csr")
+    matrix = _stacked(blocks) + contact + _diagonal(hold, assembly.n_nodes)
     du = solver.solve(matrix, -residual.ravel(), now.force_error < _NEAR).reshape(-1, 3)
     dp = [
         bulk * (_gather(divergence, u) + part.volume_residual)
@@ -225,6 +221,25 @@ def newton_step(
         )
     ]
     return du, dp, [term.change_of_force(du) for term in now.terms]
+
+
+def _stacked(blocks: list[sp.bsr_matrix]) -> sp.bsr_matrix:
+    """Block-diagonal matrix of two."""
+    first, second = blocks
+    n = first.indptr.size - 1
+    parts = (
+        np.concatenate([first.data, second.data]),
+        np.concatenate([first.indices, second.indices + n]),
+        np.concatenate([first.indptr, second.indptr[1:] + first.indptr[-1]]),
+    )
+    size = first.shape[0] + second.shape[0]
+    return sp.bsr_matrix(parts, shape=(size, size))
+
+
+def _diagonal(value: float, n: int) -> sp.bsr_matrix:
+    """Diagonal matrix of n blocks."""
+    blocks = np.tile(value * np.eye(3), (n, 1, 1))
+    return sp.bsr_matrix((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n))
 
 
 def _corners(divergence: Array) -> list[tuple[int, tuple[slice, slice, slice]]]:
@@ -275,7 +290,8 @@ def equilibrate(
     first = not any(contact.memory.any() for contact in state.contacts)
     smoothing = _SMOOTHING[0 if first else 1]
     enough = 1.0 if state.load == 1.0 else _ON_THE_WAY
-    now = balance(assembly, state, smoothing)
+    directions = [friction_direction(contact.memory) for contact in state.contacts]
+    now = balance(assembly, state, smoothing, directions)
     for iteration in range(iterations):
         if on_iteration:
             on_iteration(state.load, now)
@@ -289,117 +305,31 @@ def equilibrate(
         du, dp, dn = newton_step(assembly, state, now, solver)
         if not np.isfinite(du).all():
             raise NotConverged("the linear system could not be solved")
-        best: tuple[Balance, State] | None = None
+        turns = [
+            term.turn(du, direction, assembly.slip_length)
+            for term, direction in zip(now.terms, directions, strict=True)
+        ]
+        best: tuple[Balance, State, list[Array]] | None = None
         for fraction in (1.0, 0.5, 0.25, 0.125):
             trial = state.moved(
                 state.u + fraction * du,
                 tuple(p + fraction * d for p, d in zip(state.p, dp, strict=True)),
                 tuple(n + fraction * d for n, d in zip(state.forces, dn, strict=True)),
             )
-            after = balance(assembly, trial, smoothing)
+            turned = [d + fraction * turn for d, turn in zip(directions, turns, strict=True)]
+            turned = [d / np.maximum(1.0, np.linalg.norm(d, axis=1)[:, None]) for d in turned]
+            after = balance(assembly, trial, smoothing, turned)
             if after.min_jacobian < 0.02 or not np.isfinite(after.force_error):
                 continue
             if best is None or after.force_error < best[0].force_error:
-                best = after, trial
+                best = after, trial, turned
             # the first step crosses the new load: it may leave more out of balance than it found
             if iteration == 0 or after.force_error < (1 - 0.3 * fraction) * now.force_error:
                 break
         if best is None:
             raise NotConverged("an element turned inside out")
-        now, state = best
+        now, state, directions = best
         if now.force_error < 0.3 * smoothing and smoothing > _SMOOTHING[1]:
             smoothing = max(_SMOOTHING[1], 0.2 * smoothing)
-            now = balance(assembly, state, smoothing)
+            now = balance(assembly, state, smoothing, directions)
     raise NotConverged(f"no convergence in {iterations} Newton iterations")
-
-
-@dataclass(frozen=True)
-class StepControl:
-    """Load increments, as fractions of the full load."""
-
-    first: float = 0.1
-    largest: float = 0.25
-    smallest: float = 2e-3
-    easy: int = 8
-    #: Newton iterations after which a load counts as not reached.
-    iterations: int = 25
-    #: The last one is repeated on finer meshes: the smaller, the surer.
-    last: float = 0.1
-
-
-@dataclass
-class Path:
-    """The last two accepted states and the record of (elements, load, Newton iterations)."""
-
-    state: State
-    previous: State
-    record: list[tuple[int, float, int]] = field(default_factory=list)
-
-
-def follow(
-    assembly: Assembly,
-    start: State,
-    guess: tuple[Array, ...],
-    solver: LinearSolver,
-    on_iteration: Callable[[float, Balance], None] | None = None,
-    control: StepControl | None = None,
-    before: State | None = None,
-) -> Path:
-    """Compress from ``start`` to the full travel of the plate.
-
-    The first step is extrapolated from ``before`` if given; otherwise ``guess``, estimated contact
-    forces at full load, starts it.
-
-    Raises
-    ------
-    LoadNotReached
-    """
-    control = control or StepControl()
-    state = start
-    step, record = control.first, []
-    while True:
-        load = min(1.0, state.load + step)
-        if load > 1.0 - control.last and state.load < 1.0 - 1.5 * control.last:
-            load = 1.0 - control.last
-        elif 1.0 - load < 0.1 * step:
-            load = 1.0
-        trial = replace(state, load=load)
-        if before is not None:
-            ratio = (load - state.load) / (state.load - before.load)
-            trial = trial.moved(
-                state.u + ratio * (state.u - before.u),
-                tuple(p + ratio * (p - q) for p, q in zip(state.p, before.p, strict=True)),
-                tuple(
-                    np.maximum(0.0, n + ratio * (n - m))
-                    for n, m in zip(state.forces, before.forces, strict=True)
-                ),
-            )
-        else:
-            u = state.u.copy()
-            u[assembly.bodies[LAYER].n_nodes :, 2] -= load * assembly.compression
-            trial = trial.moved(u, state.p, tuple(load * force for force in guess))
-        try:
-            reached, count = equilibrate(assembly, trial, solver, on_iteration, control.iterations)
-        except NotConverged as failure:
-            step = 0.5 * (load - state.load)
-            if step < control.smallest:
-                raise LoadNotReached(state.load, str(failure)) from None
-            continue
-        record.append((assembly.n_elements, load, count))
-        if load == 1.0:
-            return Path(reached, state, record)
-        if count <= control.easy:
-            step = min(control.largest, 1.5 * step)
-        before, state = state, remember(assembly, reached)
-
-
-def remember(assembly: Assembly, state: State) -> State:
-    """Return the state from which the next load starts: friction remembers, anchors move."""
-    position = assembly.position(state.u)
-    contacts = tuple(
-        remembered(meeting, contact, position, scale, assembly.slip_length)
-        for meeting, contact, scale in zip(
-            assembly.meet(position, state.load), state.contacts, assembly.scales, strict=True
-        )
-    )
-    return replace(state, contacts=contacts)

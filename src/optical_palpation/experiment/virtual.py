@@ -12,8 +12,9 @@ import xarray as xr
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.experiment.assembly import build
 from optical_palpation.experiment.cascade import solve
-from optical_palpation.experiment.equilibrium import LAYER, SAMPLE, Assembly, LoadNotReached
+from optical_palpation.experiment.equilibrium import LAYER, SAMPLE, Assembly
 from optical_palpation.experiment.observe import body_dataset, observed_maps
+from optical_palpation.experiment.path import LoadNotReached
 from optical_palpation.experiment.scene import Scene
 from optical_palpation.mechanics.grid import node_positions
 from optical_palpation.palpation.algebraic import algebraic_stress
