@@ -125,21 +125,22 @@ def test_area_vectors_are_the_gradient_of_the_volume_beneath():
     assert_allclose(area_vectors(surface)[inner], expected[inner], atol=1e-9)
 
 
-def test_newton_matrix_is_the_derivative_of_the_equations_with_contact_and_friction():
+@pytest.mark.parametrize("spreading", [0.0, 0.02])
+def test_newton_matrix_is_the_derivative_of_the_equations_with_contact_and_friction(spreading):
     rng = np.random.default_rng(1)
     x, px = np.linspace(0, 1, 6), np.linspace(-0.2, 1.2, 20)
     xx, yy = np.meshgrid(px, px)
     loaded = 0.42 + 0.03 * np.cos(5 * xx) * np.cos(4 * yy)
     problem = LayerProblem(
         LayerGrid(x, x, graded_depths(2), np.full((6, 6), 0.5)),
-        Imprint(px, px, np.full((20, 20), 0.5), loaded),
+        Imprint(px, px, np.full((20, 20), 0.5), loaded, spreading * np.stack([xx, yy])),
         C10,
         C01,
         5e2,
         (0.3, 0.1),
     )
     state = LayerState.unloaded(problem.grid)
-    state.load = 1.0
+    state.load, state.anchor_load = 1.0, 0.7
     state.u = 0.01 * rng.standard_normal(state.u.shape)
     state.u[2] = 0.3 * state.u[2] - 0.17 * problem.grid.nodes[2]
     state.p = -5 + rng.standard_normal(state.p.shape)

@@ -12,7 +12,8 @@ of it flickers for ever on a few nodes at free edges.
 
 Friction is the smooth Coulomb law t = mu N s, s = w / sqrt(1 + |w|^2), w = w0 + slip / slip_length,
 in the x-y plane, opposing the slip since the last accepted load; w0 makes the traction continuous
-from one load to the next. The lateral equations of a surface node are
+from one load to the next. Where the imprint moves sideways, slip is relative to that point of it
+where the node was at that load. The lateral equations of a surface node are
 
     f_x + (a_x - mu s_x) f_z = 0 (imprint),    f_x + mu s_x f_z = 0 (window),
 
@@ -104,7 +105,11 @@ def complementarity_scale(problem: LayerProblem) -> Array:
 
 def slip_coordinate(problem: LayerProblem, state: LayerState) -> Array:
     """The slip w of both faces in slip lengths, memory included, (2, 2, ny + 1, nx + 1)."""
-    return state.slip + (state.lateral() - state.anchor) / problem.slip_length
+    slip = state.lateral() - state.anchor
+    x, y = problem.grid.nodes[:2, -1] + state.anchor[SAMPLE]
+    velocity = problem.imprint.velocity(x, y, state.anchor_load)
+    slip[SAMPLE] -= (state.load - state.anchor_load) * velocity
+    return state.slip + slip / problem.slip_length
 
 
 def friction_direction(w: Array) -> Array:
@@ -287,7 +292,7 @@ def remember_slip(problem: LayerProblem, state: LayerState) -> None:
     size = np.sqrt((w**2).sum(1, keepdims=True))
     w *= np.minimum(1.0, _MEMORY / np.maximum(size, 1e-300))
     state.slip = np.where(state.touching(problem)[:, None], w, 0.0)
-    state.anchor = state.lateral()
+    state.anchor, state.anchor_load = state.lateral(), state.load
 
 
 def friction_fraction(problem: LayerProblem, state: LayerState) -> Array:

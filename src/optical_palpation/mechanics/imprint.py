@@ -1,4 +1,4 @@
-"""The rigid imprint: the surface that carries the measured loaded thickness."""
+"""The imprint: the surface, of known shape and motion, that carries the measured thickness."""
 
 from __future__ import annotations
 
@@ -7,18 +7,25 @@ from dataclasses import dataclass, field
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, spline_filter
+from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
 Array = NDArray[np.float64]
+
+#: Steps in which a point of the moving surface is tracked to full load; each reduces the error by
+#: about the strain of the surface.
+_TRACKING = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Imprint:
-    """A rigid, laterally fixed surface z = h(x, y; load), lowered from the unloaded layer.
+    """A surface z = h(x, y; load), lowered from the unloaded layer.
 
     h = L0 + load (L1 - L0): at load 0 the imprint fits the unloaded sample side, at load 1 it is
     the measured loaded thickness. Both maps are bicubic splines through their pixels; beyond the
     last pixel the surface continues level.
+
+    Its points may move sideways in a known way, as those of a sample that spreads under its load:
+    in proportion to the load, along straight lines. Only friction feels that.
 
     Attributes
     ----------
@@ -26,12 +33,16 @@ class Imprint:
         Uniform pixel coordinates, mm.
     unloaded, loaded
         Maps (y, x) of L0 and L1, mm.
+    motion
+        Lateral displacement (2, y, x) at full load of the point that is then there, mm; ``None``
+        for a surface that is fixed laterally.
     """
 
     x: Array
     y: Array
     unloaded: Array
     loaded: Array
+    motion: Array | None = None
     _coefficients: tuple[Array, Array] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -42,12 +53,24 @@ class Imprint:
     def smoothed(self, sigma: float) -> Imprint:
         """Return the imprint smoothed by a Gaussian of standard deviation ``sigma``, mm."""
         widths = (sigma / (self.y[1] - self.y[0]), sigma / (self.x[1] - self.x[0]))
-        return Imprint(
-            self.x,
-            self.y,
-            gaussian_filter(self.unloaded, widths, mode="nearest"),
-            gaussian_filter(self.loaded, widths, mode="nearest"),
-        )
+
+        def smooth(field: Array) -> Array:
+            return gaussian_filter(field, widths, mode="nearest", axes=(-2, -1))
+
+        motion = None if self.motion is None else smooth(self.motion)
+        return Imprint(self.x, self.y, smooth(self.unloaded), smooth(self.loaded), motion)
+
+    def velocity(self, x: Array, y: Array, load: float) -> Array:
+        """Lateral motion, mm per unit of load, of the points that ``load`` finds at x, y."""
+        moved = np.zeros((2, *x.shape))
+        if self.motion is None:
+            return moved
+        first, step = (self.y[0], self.x[0]), (self.y[1] - self.y[0], self.x[1] - self.x[0])
+        for _ in range(_TRACKING):  # a point now at x is at x + (1 - load) moved at full load
+            end = y + (1 - load) * moved[1], x + (1 - load) * moved[0]
+            at = [(e - f) / s for e, f, s in zip(end, first, step, strict=True)]
+            moved = np.stack([map_coordinates(m, at, order=1, mode="nearest") for m in self.motion])
+        return moved
 
     def evaluate(self, x: Array, y: Array, load: float) -> Array:
         """Height and its derivatives (h, hx, hy, hxx, hxy, hyy) at points; shape (6, *x.shape)."""

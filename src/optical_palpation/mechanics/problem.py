@@ -17,14 +17,14 @@ WINDOW, SAMPLE = 0, 1
 
 @dataclass(frozen=True, eq=False)
 class LayerProblem:
-    """A compliant layer pressed between the window and a rigid imprint.
+    """A compliant layer pressed between the window and an imprint.
 
     Attributes
     ----------
     grid
         The elements of the unloaded layer.
     imprint
-        The rigid surface on the sample side; the window is the plane z = 0.
+        The surface on the sample side; the window is the plane z = 0.
     c10, c01
         Mooney-Rivlin coefficients, kPa.
     bulk_modulus
@@ -74,6 +74,8 @@ class LayerState:
         Lateral displacement to which ``slip`` belongs, (2, 2, ny + 1, nx + 1), mm.
     normal_force
         Vertical contact forces, compression positive, (2, ny + 1, nx + 1), mN.
+    anchor_load
+        Load at which ``anchor`` was laid; by default that of the state.
     """
 
     load: float
@@ -82,6 +84,11 @@ class LayerState:
     slip: Array
     anchor: Array
     normal_force: Array
+    anchor_load: float = np.nan
+
+    def __post_init__(self) -> None:
+        if np.isnan(self.anchor_load):
+            self.anchor_load = self.load
 
     @classmethod
     def unloaded(cls, grid: LayerGrid) -> LayerState:
@@ -98,10 +105,8 @@ class LayerState:
 
     def copy(self) -> LayerState:
         """Return an independent copy."""
-        return LayerState(
-            self.load,
-            *(getattr(self, name).copy() for name in ("u", "p", "slip", "anchor", "normal_force")),
-        )
+        arrays = ("u", "p", "slip", "anchor", "normal_force")
+        return replace(self, **{name: getattr(self, name).copy() for name in arrays})
 
     def lateral(self) -> Array:
         """Return the lateral displacement of both faces, (2, 2, ny + 1, nx + 1), mm."""
