@@ -9,12 +9,11 @@ from scipy.interpolate import RegularGridInterpolator
 
 from optical_palpation.errors import InputError
 from optical_palpation.experiment.bodies import Body
-from optical_palpation.experiment.contact import ContactState
+from optical_palpation.experiment.contact import ContactState, Sides
 from optical_palpation.experiment.equilibrium import (
     INTERFACE,
     LAYER,
     SAMPLE,
-    SIDES,
     Assembly,
     State,
 )
@@ -86,8 +85,7 @@ def build(
         (slave, (bodies_sample.nodes[:, 0] if side > 0 else bodies_layer.nodes[:, -1])),
         (sample_grid, bodies_sample.nodes[:, -1]),
     )
-    sides = number[layer_grid.side_nodes]
-    patch = layer_grid.spacing()[0] * layer_grid.spacing()[2]
+    element_height, _, width = layer_grid.spacing()
     window, interface, base = (grid.surface_areas(nodes).ravel() for grid, nodes in surfaces)
     return Assembly(
         bodies=(bodies_layer, bodies_sample),
@@ -95,10 +93,14 @@ def build(
             Plane(number[0].ravel(), -1.0, friction.window),
             Interface(faces[0], faces[1], friction.sample, side, start, master.spacing()[2]),
             Plane(below[-1].ravel(), 1.0, friction.plate),
-            Plane(sides, -1.0, 0.0),
+        ),
+        sides=Sides(
+            number[layer_grid.side_nodes].ravel(),
+            bodies_layer.material.shear_modulus * width,
+            element_height,
         ),
         slave_grids=(layer_grid, slave, sample_grid),
-        areas=(window, interface, base, np.full(sides.size, patch)),
+        areas=(window, interface, base),
         plate=float(plate),
         compression=scene.compression,
         slip_length=2e-3 * layer.thickness,
@@ -139,10 +141,9 @@ def column_forces(assembly: Assembly) -> tuple[Array, ...]:
     )
     on_layer = on_sample(np.stack(np.meshgrid(layer.grid.y, layer.grid.x, indexing="ij"), -1))
     of_slaves = on_layer if assembly.slave_grids[INTERFACE] is layer.grid else pressure
-    sides = np.zeros_like(assembly.areas[SIDES])
     return tuple(
         p.ravel() * area
-        for p, area in zip((on_layer, of_slaves, pressure, sides), assembly.areas, strict=True)
+        for p, area in zip((on_layer, of_slaves, pressure), assembly.areas, strict=True)
     )
 
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from optical_palpation.experiment.assembly import at_rest, column_forces
 from optical_palpation.experiment.contact import ContactState
 from optical_palpation.experiment.equilibrium import (
-    SIDES,
     Assembly,
     Balance,
     NotConverged,
@@ -97,14 +96,13 @@ def _prolonged(state: State, coarse: Assembly, fine: Assembly) -> State:
         for (to, of), u in zip(pairs, coarse.split(state.u), strict=True)
     ]
     contacts = []
-    for n, contact in enumerate(state.contacts[:SIDES]):
+    for n, contact in enumerate(state.contacts):
         to, of = fine.slave_grids[n], coarse.slave_grids[n]
         shape = of.node_shape[1:]
         pressure = (contact.force / coarse.areas[n]).reshape(shape)
         memory = contact.memory.T.reshape(2, *shape)
         force = to.interpolate_from(of, pressure).ravel() * fine.areas[n]
         contacts.append((force, to.interpolate_from(of, memory).reshape(2, -1).T))
-    contacts.append((np.zeros_like(fine.areas[SIDES]), np.zeros((fine.areas[SIDES].size, 2))))
     p = tuple(
         to.grid.interpolate_cells_from(of.grid, p)
         for (to, of), p in zip(pairs, state.p, strict=True)

@@ -25,6 +25,8 @@ _MEMORY = 10.0
 #: A contact spring is at most this many times stiffer than the scale c of its law. What a Newton
 #: step thereby leaves of the law's violation is its inverse.
 _STIFFEST = 1e4
+#: Penalty of the sides, in shear moduli per element height, and its smoothing, in shear moduli.
+_SIDE_PENALTY, _SIDE_SMOOTHING = 10.0, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +104,26 @@ class ContactTerms:
             turn[..., :2, :] = np.einsum("na,nbcd->nabcd", -w * normal[:, 0], meeting.turning)
             out.append((meeting.nodes, meeting.neighbours, turn))
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """Contact of the layer's sides with the window, onto which they roll.
+
+    As in ``mechanics.contact`` a stiff smooth penalty without friction. ``nodes`` (n) are numbers,
+    ``stiffness`` the shear modulus by a node's width, kPa mm, ``height`` that of an element, mm.
+    """
+
+    nodes: Numbers
+    stiffness: float
+    height: float
+
+    def force(self, position: Array) -> tuple[Array, Array]:
+        """Vertical force (n), mN, and its derivative by the penetration, mN / mm."""
+        c, eps = _SIDE_PENALTY * self.stiffness, _SIDE_SMOOTHING * self.stiffness * self.height
+        t = -c * position[self.nodes, 2]
+        near = np.clip(t + eps, 0.0, 2 * eps)
+        return near**2 / (4 * eps) + np.maximum(t - eps, 0.0), c * near / (2 * eps)
 
 
 def linearise(

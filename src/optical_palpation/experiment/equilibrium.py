@@ -13,6 +13,7 @@ from optical_palpation.experiment.bodies import Body, BodyForces
 from optical_palpation.experiment.contact import (
     ContactState,
     ContactTerms,
+    Sides,
     assembled,
     linearise,
 )
@@ -23,12 +24,10 @@ from optical_palpation.mechanics.grid import LayerGrid
 
 Array = NDArray[np.float64]
 LAYER, SAMPLE = 0, 1
-WINDOW, INTERFACE, PLATE, SIDES = 0, 1, 2, 3
+WINDOW, INTERFACE, PLATE = 0, 1, 2
 
 #: Smoothing of contact, as a pressure in units of the shear modulus: at first, and in the end.
 _SMOOTHING = (3e-2, 1e-3)
-#: Least smoothing of the sides' contact, of few nodes and little force.
-_SIDES = 1e-2
 #: When the full load is reached: out-of-balance forces relative to contact forces, violation of
 #: J - 1. Loads on the way to it are reached sooner by ``_ON_THE_WAY``.
 _FORCE, _VOLUME = 1e-5, 1e-6
@@ -41,17 +40,17 @@ _NEAR = 3e-3
 class Assembly:
     """Window (z = 0), layer, sample and plate; nodes are numbered layer first.
 
-    Contacts are those at the window, between layer and sample, at the plate, and of the layer's
-    sides with the window, onto which they roll. ``slave_grids`` are the grids of the bodies that
-    the slaves of the first three belong to, ``areas`` the slaves' shares of the surface and
-    ``scales`` c of their law; ``plate`` the plate's z at rest, ``compression`` its travel, mm;
-    ``slip_length`` that of the friction law.
+    ``contacts`` are those at the window, between layer and sample and at the plate, ``sides`` that
+    of the layer's sides. ``slave_grids`` are the grids of the bodies that the slaves belong to,
+    ``areas`` the slaves' shares of the surface and ``scales`` c of their law; ``plate`` the plate's
+    z at rest, ``compression`` its travel, mm; ``slip_length`` that of the friction law.
     """
 
     bodies: tuple[Body, Body]
-    contacts: tuple[Plane, Interface, Plane, Plane]
+    contacts: tuple[Plane, Interface, Plane]
+    sides: Sides
     slave_grids: tuple[LayerGrid, LayerGrid, LayerGrid]
-    areas: tuple[Array, Array, Array, Array]
+    areas: tuple[Array, Array, Array]
     plate: float
     compression: float
     slip_length: float
@@ -92,13 +91,12 @@ class Assembly:
 
     def meet(self, position: Array, load: float) -> list[Meeting]:
         """Where the slaves of each contact are."""
-        window, interface, plate, sides = self.contacts
+        window, interface, plate = self.contacts
         height = self.plate - load * self.compression
         return [
             window.meet(position, 0.0),
             interface.meet(position),
             plate.meet(position, height),
-            sides.meet(position, 0.0),
         ]
 
 
@@ -113,7 +111,7 @@ class State:
 
     @property
     def forces(self) -> tuple[Array, ...]:
-        """Vertical contact forces at window, interface, plate and sides, mN."""
+        """Vertical contact forces at window, interface and plate, mN."""
         return tuple(contact.force for contact in self.contacts)
 
     def moved(self, u: Array, p: tuple[Array, ...], forces: tuple[Array, ...]) -> State:
@@ -131,7 +129,10 @@ class NotConverged(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """Internal forces and contact of a state, and how far it is from equilibrium."""
+    """Internal forces and contact of a state, and how far it is from equilibrium.
+
+    ``internal`` (n_nodes, 3) includes the contact of the sides.
+    """
 
     bodies: list[BodyForces]
     terms: list[ContactTerms]
@@ -161,21 +162,21 @@ def balance(
             own,
             position,
             scale,
-            max(smoothing, least) * assembly.shear_modulus * area,
+            smoothing * assembly.shear_modulus * area,
             assembly.slip_length,
             direction,
         )
-        for contact, meeting, own, scale, area, least, direction in zip(
+        for contact, meeting, own, scale, area, direction in zip(
             list[Plane | Interface](assembly.contacts),
             assembly.meet(position, state.load),
             state.contacts,
             assembly.scales,
             assembly.areas,
-            (0.0, 0.0, 0.0, _SIDES),
-            directions or (None,) * 4,
+            directions or (None,) * 3,
             strict=True,
         )
     ]
+    internal[assembly.sides.nodes, 2] -= assembly.sides.force(position)[0]
     out = internal.copy()
     for term in terms:
         np.add.at(out, term.meeting.nodes, term.residual)
@@ -212,7 +213,9 @@ def newton_step(
     residual = now.internal + force
     # a trace of stiffness in the tangent alone holds what nothing else holds yet
     hold = 1e-6 * assembly.shear_modulus * assembly.bodies[LAYER].grid.spacing()[2]
-    matrix = _stacked(blocks) + contact + _diagonal(hold, assembly.n_nodes)
+    held = np.full((assembly.n_nodes, 3), hold)
+    held[assembly.sides.nodes, 2] += assembly.sides.force(assembly.position(state.u))[1]
+    matrix = _stacked(blocks) + contact + _diagonal(held)
     du = solver.solve(matrix, -residual.ravel(), now.force_error < _NEAR).reshape(-1, 3)
     dp = [
         bulk * (_gather(divergence, u) + part.volume_residual)
@@ -236,9 +239,10 @@ def _stacked(blocks: list[sp.bsr_matrix]) -> sp.bsr_matrix:
     return sp.bsr_matrix(parts, shape=(size, size))
 
 
-def _diagonal(value: float, n: int) -> sp.bsr_matrix:
-    """Diagonal matrix of n blocks."""
-    blocks = np.tile(value * np.eye(3), (n, 1, 1))
+def _diagonal(values: Array) -> sp.bsr_matrix:
+    """Diagonal matrix of values (n, 3)."""
+    n = len(values)
+    blocks = values[:, :, None] * np.eye(3)
     return sp.bsr_matrix((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n))
 
 

@@ -131,8 +131,8 @@ def run_experiment(
     maps["algebraic_axial_stress"] = algebraic_stress(
         maps["loaded_thickness"], scene.layer.thickness, scene.layer.material
     )
-    window, interface, plate, sides = (float(force.sum()) for force in state.forces)
-    window += sides
+    window, interface, plate = (float(force.sum()) for force in state.forces)
+    window += float(assembly.sides.force(assembly.position(state.u))[0].sum())
     maps.attrs = {
         "method": "virtual experiment",
         "c10_kPa": scene.layer.c10,
