@@ -1,4 +1,4 @@
-"""From coarse to fine: the load path on a coarse mesh, its last step again on finer ones."""
+"""From coarse to fine: the load path begins on a coarse mesh and ends on the finest."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ from optical_palpation.experiment.path import LoadNotReached, Path, StepControl,
 Array = NDArray[np.float64]
 Report = Callable[[Assembly, float, Balance], None]
 
-#: Factor by which friction is softened while a solution changes meshes.
+#: Fraction of the full load at which a solution changes meshes. Friction depends on the path, and
+#: what happens late, at the free edges above all, depends on the mesh.
+_HANDOVER = 0.25
+#: Factor by which friction is softened while it does.
 _CHANGE_OF_MESH = 20.0
-#: Newton iterations after which a step on a finer mesh is halved.
-_PATIENCE = 20
 
 
 def solve(levels: list[Assembly], report: Report | None = None) -> Path:
@@ -39,6 +40,7 @@ def solve(levels: list[Assembly], report: Report | None = None) -> Path:
     """
     path: Path | None = None
     for n, level in enumerate(levels):
+        target = 1.0 if level is levels[-1] else _HANDOVER
 
         def on_iteration(load: float, now: Balance, level: Assembly = level) -> None:
             if report:
@@ -47,44 +49,46 @@ def solve(levels: list[Assembly], report: Report | None = None) -> Path:
         with LinearSolver() as solver:
             if path is not None:
                 try:
-                    path = _refined(path, levels[n - 1], level, solver, on_iteration)
+                    path = _carried(path, levels[n - 1], level, solver, on_iteration, target)
                     continue
                 except (NotConverged, LoadNotReached):
                     pass
             record = path.record if path is not None else []
-            path = follow(level, at_rest(level), column_forces(level), solver, on_iteration)
+            guess = column_forces(level)
+            path = follow(level, at_rest(level), guess, solver, on_iteration, target=target)
             path.record[:0] = record
     assert path is not None
     return path
 
 
-def _refined(
+def _carried(
     path: Path,
     coarse: Assembly,
     fine: Assembly,
     solver: LinearSolver,
     on_iteration: Callable[[float, Balance], None],
+    target: float,
 ) -> Path:
-    """Repeat the last load step of a path on a finer mesh."""
-    state, previous = (_prolonged(s, coarse, fine) for s in (path.state, path.previous))
-    step_u = state.u - previous.u
-    step_p = [p - q for p, q in zip(state.p, previous.p, strict=True)]
-    record = list(path.record)
-    if previous.load > 0:
-        # The bodies move by micrometres from one mesh to the next. That is no slip: they do so
-        # under a friction that hardly feels it, and the memory is laid anew.
-        soft = replace(fine, slip_length=_CHANGE_OF_MESH * fine.slip_length)
-        previous, count = equilibrate(soft, previous, solver, on_iteration, _PATIENCE)
-        previous = _anchored(previous, fine)
-        record.append((fine.n_elements, previous.load, count))
-    # extrapolated from here the next step is that of the coarse mesh
-    before = replace(previous, load=2 * previous.load - 1.0).moved(
-        previous.u - step_u,
-        tuple(p - d for p, d in zip(previous.p, step_p, strict=True)),
-        tuple(2 * n - m for n, m in zip(previous.forces, state.forces, strict=True)),
+    """Go on with a path on a finer mesh."""
+    state, before = (_prolonged(s, coarse, fine) for s in (path.state, path.previous))
+    step_u = state.u - before.u
+    step_p = [p - q for p, q in zip(state.p, before.p, strict=True)]
+    step_n = [n - m for n, m in zip(state.forces, before.forces, strict=True)]
+    # The bodies move by micrometres from one mesh to the next. That is no slip: they do so under a
+    # friction that hardly feels it, and the memory is laid anew.
+    soft = replace(fine, slip_length=_CHANGE_OF_MESH * fine.slip_length)
+    state, count = equilibrate(soft, state, solver, on_iteration)
+    state = _anchored(state, fine)
+    record = [*path.record, (fine.n_elements, state.load, count)]
+    before = replace(state, load=before.load).moved(
+        state.u - step_u,
+        tuple(p - d for p, d in zip(state.p, step_p, strict=True)),
+        tuple(n - d for n, d in zip(state.forces, step_n, strict=True)),
     )
-    control = StepControl(first=1.0 - previous.load, iterations=_PATIENCE)
-    rest = follow(fine, previous, column_forces(fine), solver, on_iteration, control, before)
+    if state.load == target:
+        return Path(state, before, record)
+    control = StepControl(first=StepControl.largest)
+    rest = follow(fine, state, state.forces, solver, on_iteration, control, before, target)
     return Path(rest.state, rest.previous, record + rest.record)
 
 

@@ -40,8 +40,6 @@ class StepControl:
     easy: int = 8
     #: Newton iterations after which a load counts as not reached.
     iterations: int = 25
-    #: The last one is repeated on finer meshes: the smaller, the surer.
-    last: float = 0.1
 
 
 @dataclass
@@ -61,8 +59,9 @@ def follow(
     on_iteration: Callable[[float, Balance], None] | None = None,
     control: StepControl | None = None,
     before: State | None = None,
+    target: float = 1.0,
 ) -> Path:
-    """Compress from ``start`` to the full travel of the plate.
+    """Compress from ``start`` to a load, by default the full travel of the plate.
 
     The first step is extrapolated from ``before`` if given; otherwise ``guess``, estimated contact
     forces at full load, starts it.
@@ -75,11 +74,8 @@ def follow(
     state = start
     step, record = control.first, []
     while True:
-        load = min(1.0, state.load + step)
-        if load > 1.0 - control.last and state.load < 1.0 - 1.5 * control.last:
-            load = 1.0 - control.last
-        elif 1.0 - load < 0.1 * step:
-            load = 1.0
+        steps = np.ceil((target - state.load) / step - 1e-9)  # equal ones, not a small last one
+        load = target if steps == 1 else state.load + float((target - state.load) / steps)
         trial = replace(state, load=load)
         if before is not None:
             ratio = (load - state.load) / (state.load - before.load)
@@ -108,6 +104,8 @@ def follow(
         if count <= control.easy:
             step = min(control.largest, 1.5 * step)
         before, state = state, remember(assembly, reached)
+        if load == target:
+            return Path(state, before, record)
 
 
 def remember(assembly: Assembly, state: State) -> State:
