@@ -19,7 +19,7 @@ from optical_palpation.experiment.equilibrium import (
     State,
 )
 from optical_palpation.mechanics.contact import area_vectors
-from optical_palpation.mechanics.grid import LayerGrid
+from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.palpation.computational import SLIP_SHARE, _surface_axial_stress
 from optical_palpation.palpation.result import ContactState
 
@@ -37,8 +37,28 @@ _STRESSES = {
 }
 
 
+def pixels(assembly: Assembly, state: State, spacing: float) -> tuple[Array, Array]:
+    """Positions x and y of pixels about ``spacing`` apart that show all of the loaded layer.
+
+    They have pixels on the edges of the unloaded layer, and reach beyond it as far as it bulges.
+    """
+    body = assembly.bodies[LAYER]
+    surface = (body.nodes + assembly.split(state.u)[LAYER])[:2, -1]
+    axes = []
+    for positions, nodes in zip(surface, (body.grid.x, body.grid.y), strict=True):
+        inside = node_positions(nodes[-1] - nodes[0], spacing, nodes[0])
+        step = inside[1] - inside[0]
+        bulge = max(nodes[0] - positions.min(), positions.max() - nodes[-1], 0.0)
+        more = step * np.arange(1, np.ceil(bulge / step) + 1)
+        axes.append(np.concatenate([nodes[0] - more[::-1], inside, nodes[-1] + more]))
+    return axes[0], axes[1]
+
+
 def observed_maps(assembly: Assembly, state: State, x: Array, y: Array) -> xr.Dataset:
-    """Maps at laboratory points ``x``, ``y``, mm; NaN where there is no layer."""
+    """Maps at laboratory points ``x``, ``y``, mm; NaN where there is no layer.
+
+    The motion of the sample is given everywhere, beyond its edge as that of the edge.
+    """
     body = assembly.bodies[LAYER]
     grid = body.grid
     u = assembly.split(state.u)[LAYER]
@@ -70,6 +90,17 @@ def observed_maps(assembly: Assembly, state: State, x: Array, y: Array) -> xr.Da
     for name, values in (("unloaded_thickness", unloaded), ("loaded_thickness", thickness)):
         text = name.replace("_", " ") + " of the layer"
         maps[name] = (("y", "x"), values, {**millimetres, "long_name": text})
+    below = assembly.bodies[SAMPLE]
+    moved = assembly.split(state.u)[SAMPLE][:, 0]
+    at_layer, _ = _material_points(below.grid, below.nodes[:, 0] + moved, target)
+    for component, axis in zip(moved, "xy", strict=False):
+        text = f"lateral displacement of the sample's surface, {axis}"
+        values = _smooth(below.grid, component, at_layer)
+        maps[f"sample_displacement_{axis}"] = (
+            ("y", "x"),
+            values,
+            {**millimetres, "long_name": text},
+        )
     for name, text in _STRESSES.items():
         values = RegularGridInterpolator((grid.y, grid.x), fields[name])(at_sample)
         values[outside] = np.nan

@@ -1,4 +1,4 @@
-"""The stress of a virtual experiment, computed back from its thickness alone."""
+"""The stress of a virtual experiment, computed back from what OCT would see of it."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ def recovered_stress(
     noise: float = 1e-3,
     seed: int = 0,
     sample_friction: float | None = None,
+    sample_motion: xr.Dataset | None = None,
     bulk_to_shear: float | None = None,
     threads: int | None = None,
     progress: Callable[[Progress], None] | None = None,
@@ -38,8 +39,11 @@ def recovered_stress(
     seed
         Of the random numbers.
     sample_friction
-        Coefficient between layer and imprint; by default that of the scene, which is too much where
-        the sample spreads with the layer (section 4 of the paper).
+        Coefficient between layer and sample; by default that of the scene.
+    sample_motion
+        Known motion of the sample's surface, ``result.maps`` for the true one; by default it is
+        taken as fixed laterally, for which the scene's friction is too much where the sample
+        spreads (section 4 of the paper).
     bulk_to_shear
         Of the layer; by default that of the scene.
 
@@ -70,6 +74,7 @@ def recovered_stress(
         window_friction=scene.friction.window,
         sample_friction=scene.friction.sample if sample_friction is None else sample_friction,
         element_size=element_size,
+        sample_motion=sample_motion,
         threads=threads,
         progress=progress,
     )

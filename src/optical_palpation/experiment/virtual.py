@@ -13,10 +13,9 @@ from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.experiment.assembly import build
 from optical_palpation.experiment.cascade import solve
 from optical_palpation.experiment.equilibrium import LAYER, SAMPLE, Assembly
-from optical_palpation.experiment.observe import body_dataset, observed_maps
+from optical_palpation.experiment.observe import body_dataset, observed_maps, pixels
 from optical_palpation.experiment.path import LoadNotReached
 from optical_palpation.experiment.scene import Scene
-from optical_palpation.mechanics.grid import node_positions
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.computational import Progress
 from optical_palpation.palpation.threads import limited_threads
@@ -33,15 +32,18 @@ class ExperimentResult:
     Attributes
     ----------
     maps
-        Variables on ``(y, x)``, laboratory coordinates in mm over the unloaded layer. As OCT would
-        see them: ``unloaded_thickness`` and ``loaded_thickness`` (mm; attributes as from
-        :func:`~optical_palpation.thickness.read_thickness_map`, ready for
-        :func:`~optical_palpation.palpation.computational_stress`). True stress of the sample on
-        the layer in kPa: ``axial_stress`` (tension positive), ``contact_pressure`` (compression
-        positive), ``traction_x``, ``traction_y``, ``traction_z``; ``contact_state`` and
-        ``window_contact_state``; ``algebraic_axial_stress`` of that loaded thickness. Attributes:
-        ``window_force_mN``, ``sample_force_mN``, ``plate_force_mN``, ``force_balance``, the scene
-        as JSON and the convergence record.
+        Variables on ``(y, x)``, laboratory coordinates in mm in which the unloaded layer begins at
+        0; they reach as far beyond it as the loaded layer does and are NaN where it is not. As OCT
+        would see them: ``unloaded_thickness`` and ``loaded_thickness`` (mm; attributes as from
+        :func:`~optical_palpation.thickness.read_thickness_map`; with
+        :func:`~optical_palpation.thickness.clean_thickness` ready for
+        :func:`~optical_palpation.palpation.computational_stress`), ``sample_displacement_x`` and
+        ``sample_displacement_y`` (mm, everywhere): the maps are that function's
+        ``sample_motion``. True stress of the sample on the layer in kPa: ``axial_stress`` (tension
+        positive), ``contact_pressure`` (compression positive), ``traction_x``, ``traction_y``,
+        ``traction_z``; ``contact_state`` and ``window_contact_state``; ``algebraic_axial_stress``
+        of that loaded thickness. Attributes: ``window_force_mN``, ``sample_force_mN``,
+        ``plate_force_mN``, ``force_balance``, the scene as JSON and the convergence record.
     layer, sample
         The deformed bodies, variables as in
         :attr:`~optical_palpation.palpation.StressResult.layer`; the sample's also has
@@ -119,13 +121,14 @@ def run_experiment(
         ) from None
     assembly, state = levels[-1], path.state
 
-    x, y = (
-        node_positions(size, scene.pixel_spacing or 0.2 * scene.mesh.element_size)
-        for size in scene.layer.size
-    )
+    x, y = pixels(assembly, state, scene.pixel_spacing or 0.2 * scene.mesh.element_size)
     maps = observed_maps(assembly, state, x, y)
     loaded = thickness_map(
-        maps["loaded_thickness"].values, x=x, y=y, where=scene.title or "virtual experiment"
+        maps["loaded_thickness"].values,
+        x=x,
+        y=y,
+        layer_extent=(0.0, scene.layer.size[0], 0.0, scene.layer.size[1]),
+        where=scene.title or "virtual experiment",
     )
     maps["loaded_thickness"].attrs |= loaded.attrs
     maps["algebraic_axial_stress"] = algebraic_stress(

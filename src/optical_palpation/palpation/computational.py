@@ -27,6 +27,7 @@ from optical_palpation.mechanics.newton import balance
 from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.memory import check_memory
+from optical_palpation.palpation.motion import match_sample_motion
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
@@ -37,9 +38,9 @@ Edges = Literal["free", "roller", "padded"]
 
 #: Width, in thicknesses, by which ``padded`` edges continue the layer past the field of view.
 PADDING = 3.0
-#: Width of the outermost elements of a free side, in heights of an element: what the stress-free
+#: Width of the outermost elements of a free side, in thicknesses of the layer: what the stress-free
 #: side does to the layer's total force is resolved to about 1 %.
-EDGE = 0.25
+EDGE = 1 / 16
 #: More elements than any machine holds; their layout alone would take minutes.
 MOST_ELEMENTS = 1e8
 #: A node slips where friction has reached this share of its bound.
@@ -64,6 +65,7 @@ def computational_stress(
     window_friction: float,
     sample_friction: float,
     element_size: float | Sequence[float],
+    sample_motion: xr.Dataset | None = None,
     edges: Edges = "free",
     imprint_smoothing: float | None = None,
     solver: Literal["auto", "multigrid", "direct"] = "auto",
@@ -87,6 +89,12 @@ def computational_stress(
     element_size
         Size of the elements in mm: one value, or three for x, y and z. It is adjusted so that whole
         elements fit.
+    sample_motion
+        How far the sample's surface has moved sideways, where that is known:
+        ``sample_displacement_x`` and ``sample_displacement_y`` in mm on ``(y, x)``
+        (:func:`~optical_palpation.palpation.read_sample_motion`), the displacement since the
+        unloaded state of the point that is at (x, y) under load. Without it the surface is taken
+        as fixed laterally, which a sample about as soft as the layer is not.
     edges
         Sides of the layer: ``free`` (stress-free, as published), ``roller`` (no normal
         displacement) or ``padded`` (the layer goes on for three thicknesses, then free).
@@ -126,6 +134,7 @@ def computational_stress(
     initial = match_initial_thickness(initial_thickness, loaded)
     if bool(initial.isnull().any()):
         raise InputError("the unloaded thickness has missing values: fill them first")
+    motion = None if sample_motion is None else match_sample_motion(sample_motion, loaded)
     algebraic = algebraic_stress(loaded, initial, material)
     sizes = _element_sizes(element_size, loaded, float(initial.median()))
     smoothing = 0.5 * float(np.sqrt(sizes[0] * sizes[1]))
@@ -137,9 +146,8 @@ def computational_stress(
                 f"imprint_smoothing of {smoothing:g} mm is larger than a quarter of the field of "
                 f"view, {widest:g} mm, and would leave no relief (it is in mm)"
             )
-    problem = _problem(
-        loaded, initial, material, (window_friction, sample_friction), sizes, edges, smoothing
-    )
+    friction = window_friction, sample_friction
+    problem = _problem(loaded, initial, motion, material, friction, sizes, edges, smoothing)
     check_memory(problem, solver)
 
     newton = 0
@@ -197,6 +205,8 @@ def computational_stress(
         ),
         "volume_change_percent": 100 * float(_volume_change(solution)),
     }
+    if motion is not None:
+        maps.attrs |= motion.attrs
     return StressResult(maps, layer, problem)
 
 
@@ -254,6 +264,7 @@ def _element_sizes(
 def _problem(
     loaded: xr.DataArray,
     initial: xr.DataArray,
+    motion: xr.DataArray | None,
     material: MooneyRivlin,
     friction: tuple[float, float],
     sizes: tuple[float, float, float],
@@ -265,14 +276,14 @@ def _problem(
     thickness = float(initial.median())
     x, y = _uniform(loaded["x"].values), _uniform(loaded["y"].values)
     values = []
-    for field in (initial, loaded):
+    for field in (initial, loaded) if motion is None else (initial, loaded, motion):
         same = np.array_equal(x, field["x"]) and np.array_equal(y, field["y"])
         values.append(field.values if same else field.interp(x=x, y=y).values)
     imprint = Imprint(x, y, *values)
     if smoothing > 0:
         imprint = imprint.smoothed(smoothing)
     depth = node_positions(1.0, sizes[2] / thickness)
-    edge = EDGE * depth[1] * thickness if edges == "free" else None
+    edge = max(EDGE, 0.25 * depth[1]) * thickness if edges == "free" else None
     nodes_x = node_positions(x1 - x0, sizes[0], x0, edge=edge)
     nodes_y = node_positions(y1 - y0, sizes[1], y0, edge=edge)
     if edges == "padded":

@@ -1,0 +1,159 @@
+"""The lateral motion of the sample's surface, where it was measured."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.errors import InputError
+from optical_palpation.thickness.formats import Variable, read_variables
+from optical_palpation.thickness.frames import layer_extent_of
+
+MOTION = ("sample_displacement_x", "sample_displacement_y")
+_UNITS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3}
+_SOURCE = ("source", "source_sha256")
+#: Largest displacement, in widths of the layer; one in um is far beyond.
+_LARGEST = 0.25
+
+
+def read_sample_motion(path: str | os.PathLike[str]) -> xr.Dataset:
+    """Read the lateral displacement of the sample's surface from a file.
+
+    Parameters
+    ----------
+    path
+        File of any format of thickness maps that holds several arrays with names (NetCDF, MATLAB,
+        .npz): ``sample_displacement_x`` and ``sample_displacement_y`` on (y, x), in mm unless their
+        ``units`` attribute says um, and ``x`` and ``y``, the positions of their pixels in mm. A
+        file of a virtual experiment is one.
+
+    Returns
+    -------
+    xarray.Dataset
+        As :func:`~optical_palpation.palpation.computational_stress` takes it; the attributes name
+        ``source`` and ``source_sha256``.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or lacks one of the arrays, or these do not fit together.
+    """
+    path = Path(path)
+    found = read_variables(path)
+    arrays = {}
+    for name in (*MOTION, "y", "x"):
+        if name not in found:
+            raise InputError(
+                f"{path} has no variable {name!r}; the motion of the sample needs "
+                f"{', '.join(MOTION)}, x and y. It holds {', '.join(map(repr, found)) or 'none'}"
+            )
+        arrays[name] = _in_mm(found[name], f"{path}, variable {name}")
+    y, x = arrays["y"].ravel(), arrays["x"].ravel()
+    for name in MOTION:
+        if found[name].dims == ("x", "y"):
+            arrays[name] = arrays[name].T
+        if arrays[name].shape != (y.size, x.size):
+            raise InputError(
+                f"{path}, variable {name} has the shape {arrays[name].shape} and does not fit to "
+                f"{y.size} positions y and {x.size} positions x"
+            )
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return xr.Dataset(
+        {name: (("y", "x"), arrays[name], {"units": "mm"}) for name in MOTION},
+        {"y": ("y", y, {"units": "mm"}), "x": ("x", x, {"units": "mm"})},
+        {"source": path.name, "source_sha256": digest},
+    )
+
+
+def _in_mm(variable: Variable, where: str) -> np.ndarray:
+    unit = variable.unit or "mm"
+    if unit not in _UNITS:
+        raise InputError(f"{where}: its units attribute is {unit!r}; known are mm and um")
+    if variable.dtype.kind not in "fiu":
+        raise InputError(f"{where} holds values of type {variable.dtype}, no lengths")
+    return variable.values.astype(np.float64) * _UNITS[unit]
+
+
+def match_sample_motion(motion: xr.Dataset, loaded: xr.DataArray) -> xr.DataArray:
+    """Check the motion of the sample and put it on the pixels of the loaded thickness.
+
+    Parameters
+    ----------
+    motion
+        ``sample_displacement_x`` and ``sample_displacement_y`` in mm on ``(y, x)``: how far the
+        point of the sample's surface that is at (x, y) under load has moved sideways since the
+        layer was unloaded. It must cover the extent of the layer; beyond its last pixels the
+        surface moves as these do.
+    loaded
+        Loaded thickness, mm, on ``(y, x)``.
+
+    Returns
+    -------
+    xarray.DataArray
+        The displacement in mm on ``(component, y, x)``, component x and y, coordinates those of
+        `loaded`. The attributes are for the record of a result.
+
+    Raises
+    ------
+    InputError
+        If a component, a coordinate or a value is missing, if the layer is not covered, or if the
+        displacement cannot be that of a surface (because it is in um, say).
+    """
+    if not isinstance(motion, xr.Dataset) or not set(MOTION) <= set(motion.data_vars):
+        raise InputError(
+            f"the motion of the sample is an xarray.Dataset of {' and '.join(MOTION)}, mm on "
+            f"(y, x); found {_content(motion)}"
+        )
+    motion = motion[list(MOTION)]
+    for name, field in motion.items():
+        if set(field.dims) != {"y", "x"} or not {"y", "x"} <= set(field.coords):
+            raise InputError(
+                f"{name} has the dimensions (y, x) with coordinates in mm; found dimensions "
+                f"{field.dims} with coordinates {tuple(field.coords)}"
+            )
+        if not np.isfinite(field.values).all():
+            raise InputError(
+                f"{name} has {int((~np.isfinite(field.values)).sum())} missing or infinite values: "
+                "fill them first, smoothly"
+            )
+        if field.attrs.get("units", "mm") != "mm":
+            raise InputError(f"{name} is in {field.attrs['units']}: give it in mm")
+    motion = motion.transpose("y", "x").sortby(["y", "x"])
+    x0, x1, y0, y1 = layer_extent_of(loaded)
+    slack = 1e-6 * max(x1 - x0, y1 - y0)
+    at = {}
+    for axis, low, high in (("x", x0, x1), ("y", y0, y1)):
+        positions = motion[axis].values
+        steps = np.diff(positions)
+        if not (positions.size > 1 and np.isfinite(positions).all() and (steps > 0).all()):
+            raise InputError(
+                f"the {axis} coordinates of the motion of the sample must rise or fall"
+            )
+        if low - positions[0] < -slack or high - positions[-1] > slack:
+            raise InputError(
+                f"the motion of the sample spans {axis} {positions[0]:g} to {positions[-1]:g} mm "
+                f"and does not cover the layer, {low:g} to {high:g} mm"
+            )
+        largest = float(np.abs(motion[f"sample_displacement_{axis}"]).max())
+        if largest > _LARGEST * (high - low):
+            raise InputError(
+                f"sample_displacement_{axis} is up to {largest:.3g} mm, more than a quarter of the "
+                f"layer's width of {high - low:g} mm. Is it in um, or has it outliers?"
+            )
+        at[axis] = np.clip(loaded[axis].values, positions[0], positions[-1])
+    attrs = {f"sample_motion_{key}": v for key, v in motion.attrs.items() if key in _SOURCE}
+    matched = motion.interp(at).to_array("component").assign_coords(x=loaded["x"], y=loaded["y"])
+    largest = np.sqrt((matched**2).sum("component")).max()
+    matched.attrs = attrs | {"sample_motion_largest_mm": float(largest)}
+    return matched
+
+
+def _content(motion: object) -> str:
+    if isinstance(motion, xr.Dataset):
+        return f"a Dataset of {', '.join(map(str, motion.data_vars)) or 'nothing'}"
+    return f"{type(motion).__name__}"
