@@ -41,6 +41,13 @@ def bump(lateral: int, deep: int, **changes) -> LayerProblem:
     return replace(problem, **changes)
 
 
+def spreading(problem: LayerProblem, strain: float) -> LayerProblem:
+    """Return the problem with an imprint that spreads about its centre."""
+    imprint = problem.imprint
+    motion = strain * (np.stack(np.meshgrid(imprint.x, imprint.y)) - 1.0)
+    return replace(problem, imprint=replace(imprint, motion=motion))
+
+
 class Deck:
     """The blocks of a deck, as plainly as they can be read."""
 
@@ -103,19 +110,24 @@ def test_elements_fill_the_layer(tmp_path, kind):
             )
 
 
-def test_imprint_starts_on_the_layer_and_ends_on_the_measured_surface(tmp_path):
-    problem = bump(4, 1)
+@pytest.mark.parametrize("drift", [0.0, 0.06])
+def test_imprint_starts_on_the_layer_and_ends_on_the_measured_surface(tmp_path, drift):
+    problem = spreading(bump(4, 1), drift)
     write_deck(problem, tmp_path / "layer.inp")
     deck = Deck(tmp_path / "layer.inp")
     nodes = deck.nodes("IMPRINT")
-    moves = {int(node): float(move) for node, a, b, move in deck.rows("BOUNDARY", -1)}
-    assert moves.keys() == nodes.keys()
+    given = {(int(node), int(a)): float(move) for node, a, b, move in deck.rows("BOUNDARY", -1)}
+    moves = {node: np.array([given.pop((node, axis)) for axis in (1, 2, 3)]) for node in nodes}
+    assert not given
     faces = [element[:4] + element[8:12] for element in deck.elements("C3D20", "IMPRINT").values()]
     face = np.array(sorted({node for corners in faces for node in corners}))
     x, y, z = np.array([nodes[node] for node in face]).T
-    move = np.array([moves[node] for node in face])
+    move = np.array([moves[node] for node in face]).T
     np.testing.assert_allclose(z, problem.imprint.evaluate(x, y, 0.0)[0], atol=1e-8)
-    np.testing.assert_allclose(z + move, problem.imprint.evaluate(x, y, 1.0)[0], atol=1e-8)
+    end = np.array([x, y, z]) + move
+    np.testing.assert_allclose(end[2], problem.imprint.evaluate(*end[:2], 1.0)[0], atol=1e-8)
+    inside = (abs(end[:2] - 1) < 1).all(0)  # beyond its map the motion goes on level
+    np.testing.assert_allclose(move[:2, inside], drift * (end[:2, inside] - 1), atol=1e-5)
     # it reaches beyond the layer by at least one thickness on every side
     assert x.min() < -0.5
     assert y.min() < -0.5
@@ -188,16 +200,20 @@ def calculix(problem: LayerProblem, folder: Path, **deck) -> CalculixResult:
 
 
 @needs_calculix
-def test_calculix_agrees_on_force_and_stress(tmp_path):
-    """Quadratic elements against linear ones of half the size, at equal K/mu and increments."""
-    theirs = calculix(bump(6, 2), tmp_path)
-    force, stress = ours(bump(12, 4))
+@pytest.mark.parametrize("strain", [0.0, pytest.param(0.2, marks=pytest.mark.slow)])
+def test_calculix_agrees_on_force_and_stress(tmp_path, strain):
+    """Quadratic elements against linear ones of half the size, at equal K/mu and increments.
+
+    Carried outwards by an imprint that spreads by 20 %, the layer bears 17 % less.
+    """
+    theirs = calculix(spreading(bump(6, 2), strain), tmp_path)
+    force, stress = ours(spreading(bump(12, 4), strain))
     assert theirs.force_window == pytest.approx(force, rel=0.01)
     # next to the imprint, relative to the axial stress there; shear is what friction shows in
     difference = theirs.fields.stress[:, -1].mean(-1) - stress[:, -1]
     scale = np.linalg.norm(stress[2, -1])
     errors = np.linalg.norm(difference, axis=(1, 2)) / scale
-    assert (errors[:3] < 0.02).all()
+    assert (errors[:3] < 0.025).all()
     assert (errors[3:] < 0.01).all()
 
 

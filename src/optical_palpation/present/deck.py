@@ -74,8 +74,9 @@ def write_deck(
     """Write the problem as an input deck for CalculiX or Abaqus.
 
     Every element of the grid becomes one brick of the deck. Window and imprint are meshed bricks
-    whose nodes are all prescribed: the window is fixed, and each node of the imprint moves along z
-    from the unloaded to the loaded surface, in proportion to the load. The imprint is quadratic,
+    whose nodes are all prescribed: the window is fixed, and each node of the imprint moves from the
+    unloaded to the loaded surface, in proportion to the load, along z and, where the sample moves
+    sideways, with it. The imprint is quadratic,
     with elements as large as the layer's, and reaches as far beyond the layer as a layer without
     friction would spread, and one thickness more. Contact is surface to surface by penalty, with
     Coulomb friction, on the two large faces of the layer; its free sides meet nothing.
@@ -143,7 +144,7 @@ def write_deck(
             (SAMPLE, "IMPRINT", "LAYER_TOP", ("S2", "S1")),
         ):
             _write_contact(file, problem, face, rigid, elements, sides, contact_stiffness)
-        file.write("**\n*BOUNDARY\nWINDOW, 1, 3\nIMPRINT, 1, 2\n")
+        file.write("**\n*BOUNDARY\nWINDOW, 1, 3\n")
         if problem.edges == "roller":
             _write_rollers(file, layer)
         file.write(f"""\
@@ -154,8 +155,9 @@ def write_deck(
 {first_increment:g}, 1., 1e-6, {largest_increment:g}
 *BOUNDARY
 """)
-        for node, change in zip(imprint.nodes, loaded[imprint.labels > 0], strict=True):
-            file.write(f"{node}, 3, 3, {change:.9g}\n")
+        for node, moves in zip(imprint.nodes, loaded[:, imprint.labels > 0].T, strict=True):
+            for axis, move in enumerate(moves, 1):
+                file.write(f"{node}, {axis}, {axis}, {move:.9g}\n")
         file.write("""\
 ** Total forces, mN, and Cauchy stress at integration points, kPa, as text at the full load
 *NODE PRINT, NSET=WINDOW, TOTALS=YES, FREQUENCY=10000
@@ -241,7 +243,7 @@ def _halved(field: Array, axes: tuple[int, ...]) -> Array:
 
 
 def _imprint_lattice(problem: LayerProblem) -> tuple[Array, Array]:
-    """Lattice of the unloaded imprint, one brick thick, and its axial displacement at full load."""
+    """Lattice of the unloaded imprint, one brick thick, and its displacement at full load."""
     grid, imprint = problem.grid, problem.imprint
 
     def lines(nodes: Array, stretch: float) -> Array:
@@ -256,18 +258,21 @@ def _imprint_lattice(problem: LayerProblem) -> tuple[Array, Array]:
     start, end = (imprint.evaluate(*inside, load)[0] for load in (0.0, 1.0))
     spread = max(0.0, float(np.sqrt(start.mean() / end.mean())) - 1)
     x, y = np.meshgrid(lines(grid.x, spread), lines(grid.y, spread))
-    start, end = (imprint.evaluate(x, y, load)[0] for load in (0.0, 1.0))
+    sideways = imprint.velocity(x, y, 0.0)
+    start = imprint.evaluate(x, y, 0.0)[0]
+    end = imprint.evaluate(x + sideways[0], y + sideways[1], 1.0)[0]
     back = np.full_like(start, start.max() + grid.thickness.mean())
     z = _halved(np.stack([start, back]), (0,))
     lattice = np.stack([np.broadcast_to(x, z.shape), np.broadcast_to(y, z.shape), z])
-    return lattice, np.broadcast_to(end - start, z.shape)
+    moves = np.stack([*sideways, end - start])
+    return lattice, np.broadcast_to(moves[:, None], lattice.shape)
 
 
 def _write_heading(file: TextIO, problem: LayerProblem) -> None:
     nz, ny, nx = problem.grid.shape
     file.write(f"""\
 *HEADING
-Compliant layer pressed between a window and a rigid imprint (optical palpation)
+Compliant layer pressed between a window and an imprint (optical palpation)
 ** Written by optical-palpation {version("optical-palpation")}, for CalculiX and Abaqus/Standard.
 ** Units: mm, kPa, mN. z = 0 at the window, z = L0 at the sample side; tension positive.
 ** Layer of {nx} x {ny} x {nz} elements, {problem.edges} edges; shear modulus
