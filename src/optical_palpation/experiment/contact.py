@@ -25,8 +25,9 @@ _MEMORY = 10.0
 #: A contact spring is at most this many times stiffer than the scale c of its law. What a Newton
 #: step thereby leaves of the law's violation is its inverse.
 _STIFFEST = 1e4
-#: Penalty of the sides, in shear moduli per element height, and its smoothing, in shear moduli.
-_SIDE_PENALTY, _SIDE_SMOOTHING = 10.0, 0.1
+#: Penalty of the sides in shear moduli per element height, and the gap at which it begins as a share
+#: of that height. A node that is caught only when it touches snaps down and jams its neighbours.
+_SIDE_PENALTY, _SIDE_GAP = 8.0, 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +121,10 @@ class Sides:
 
     def force(self, position: Array) -> tuple[Array, Array]:
         """Vertical force (n), mN, and its derivative by the penetration, mN / mm."""
-        c, eps = _SIDE_PENALTY * self.stiffness, _SIDE_SMOOTHING * self.stiffness * self.height
-        t = -c * position[self.nodes, 2]
-        near = np.clip(t + eps, 0.0, 2 * eps)
-        return near**2 / (4 * eps) + np.maximum(t - eps, 0.0), c * near / (2 * eps)
+        c, gap = _SIDE_PENALTY * self.stiffness, _SIDE_GAP * self.height
+        z = position[self.nodes, 2]
+        near = np.clip(1 - z / gap, 0.0, 2.0)
+        return c * (0.25 * gap * near**2 + np.maximum(-z - gap, 0.0)), 0.5 * c * near
 
 
 def linearise(
