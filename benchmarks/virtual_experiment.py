@@ -3,8 +3,10 @@
 python benchmarks/virtual_experiment.py [SCENE ...] [--threads N] [--element-size MM]
 
 The published loaded thickness of the sinusoid is read from ../shared/data if it is there. The
-stress is recovered from the thickness without and with 1 um of noise per pixel, on elements 0.8
-times as large as those of the experiment.
+stress is recovered on elements 0.8 times as large as those of the experiment: on an imprint that is
+fixed laterally, with the scene's friction and none; and with the motion of the sample, taken as
+uniform spreading without change of volume, or known, without and with 1 um of noise per pixel of
+the thickness.
 """
 
 import argparse
@@ -17,7 +19,11 @@ from scipy.ndimage import convolve1d
 
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.experiment import ExperimentResult, read_scene, run_experiment
-from optical_palpation.experiment.recovery import recovered_stress, recovery_errors
+from optical_palpation.experiment.recovery import (
+    recovered_stress,
+    recovery_errors,
+    spreading_sample,
+)
 from optical_palpation.experiment.scene import with_element_size
 from optical_palpation.present.experiment import write_experiment, write_experiment_figure
 
@@ -90,20 +96,26 @@ def main() -> None:
                 print(f"  against the published thickness{what}, um:", end=" ")
                 print(", ".join(f"{key} {value:.2f}" for key, value in numbers.items()))
         recovered = None
-        for noise in (0.0, 1e-3):
+        for what, known in (
+            ("fixed imprint", {"noise": 0.0}),
+            ("no friction at the sample", {"noise": 0.0, "sample_friction": 0.0}),
+            ("uniform spreading", {"noise": 0.0, "sample_motion": spreading_sample(result)}),
+            ("known motion", {"noise": 0.0, "sample_motion": result.maps}),
+            ("known motion, noise of 1 um", {"noise": 1e-3, "sample_motion": result.maps}),
+        ):
             start = time.perf_counter()
             try:
                 recovered = recovered_stress(
                     result,
                     element_size=0.8 * scene.mesh.element_size,
-                    noise=noise,
                     threads=options.threads,
+                    **known,
                 )
             except ConvergenceError as failure:
-                print(f"  recovery with noise of {1e3 * noise:g} um: {failure}")
+                print(f"  recovery, {what}: {failure}")
                 continue
             errors = recovery_errors(result, recovered)
-            print(f"  recovered, noise {1e3 * noise:g} um, {time.perf_counter() - start:.0f} s:")
+            print(f"  recovered, {what}, {time.perf_counter() - start:.0f} s:")
             for method in ("algebraic", "computational"):
                 row = errors.sel(approach=method)
                 print(

@@ -71,6 +71,14 @@ def stress(
     sample_friction: Annotated[
         float | None, typer.Option(help="Friction coefficient between layer and sample.")
     ] = None,
+    sample_motion: Annotated[
+        str | None,
+        typer.Option(
+            metavar="STRAIN|FILE",
+            help="How the sample's surface moves sideways: the strain by which it spreads, or a "
+            "file of sample_displacement_x, sample_displacement_y, x, y. By default it does not.",
+        ),
+    ] = None,
     element_size: Annotated[
         str | None,
         typer.Option(metavar="SIZE | X Y Z", help="Size of the elements, mm: one value or three."),
@@ -127,8 +135,12 @@ def stress(
     if method is Method.COMPUTATIONAL:
         if absent := [name for name, value in needed.items() if value is None]:
             raise typer.BadParameter(f"the computational method also needs {', '.join(absent)}")
-    elif asked := [name for name, path in layer_outputs.items() if path]:
-        raise typer.BadParameter(f"the algebraic method has no layer to write: {', '.join(asked)}")
+    else:
+        if asked := [name for name, path in layer_outputs.items() if path]:
+            absent_layer = f"the algebraic method has no layer to write: {', '.join(asked)}"
+            raise typer.BadParameter(absent_layer)
+        if sample_motion:
+            raise typer.BadParameter("the algebraic method makes no use of --sample-motion")
     sizes = _element_size(element_size)
 
     from optical_palpation import present, thickness
@@ -136,6 +148,9 @@ def stress(
 
     thickness_is_map = not _is_number(initial_thickness)
     inputs = [map, Path(initial_thickness)] if thickness_is_map else [map]
+    motion_is_file = sample_motion is not None and not _is_number(sample_motion)
+    if motion_is_file:
+        inputs.append(Path(str(sample_motion)))
     outputs = {"result": output, "picture": plot, "ParaView file": vtk}
     outputs |= {"profiles": profiles, "deck": deck}
     wanted = {kind: path for kind, path in outputs.items() if path is not None}
@@ -168,8 +183,19 @@ def stress(
         assert window_friction is not None  # refused above, as are the other two
         assert sample_friction is not None
         assert sizes is not None
-        from optical_palpation.palpation import computational_stress
+        from optical_palpation.palpation import (
+            computational_stress,
+            read_sample_motion,
+            uniform_motion,
+        )
 
+        motion = None
+        if sample_motion is not None:
+            motion = (
+                read_sample_motion(sample_motion)
+                if motion_is_file
+                else uniform_motion(loaded, float(sample_motion))
+            )
         with ProgressDisplay(quiet) as progress:
             result = computational_stress(
                 loaded,
@@ -178,6 +204,7 @@ def stress(
                 window_friction=window_friction,
                 sample_friction=sample_friction,
                 element_size=sizes,
+                sample_motion=motion,
                 edges=edges.value,
                 imprint_smoothing=imprint_smoothing,
                 threads=threads,

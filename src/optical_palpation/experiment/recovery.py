@@ -11,8 +11,14 @@ import xarray as xr
 from optical_palpation.analysis import compare_maps
 from optical_palpation.errors import InputError
 from optical_palpation.experiment.virtual import ExperimentResult
-from optical_palpation.palpation import Progress, StressResult, computational_stress
+from optical_palpation.palpation import (
+    Progress,
+    StressResult,
+    computational_stress,
+    uniform_motion,
+)
 from optical_palpation.thickness import clean_thickness
+from optical_palpation.thickness.frames import inside_layer
 
 
 def recovered_stress(
@@ -78,6 +84,23 @@ def recovered_stress(
         threads=threads,
         progress=progress,
     )
+
+
+def spreading_sample(result: ExperimentResult) -> xr.Dataset:
+    """Estimate the motion of the sample from the travel of the plate and the sample's thickness.
+
+    The sample is taken to be compressed evenly, by what the layer does not take of the travel, and
+    to spread without change of volume.
+
+    Returns
+    -------
+    xarray.Dataset
+        As of :func:`~optical_palpation.palpation.uniform_motion`.
+    """
+    scene, loaded = result.scene, result.maps["loaded_thickness"]
+    layer = scene.layer.thickness - float(loaded.where(inside_layer(loaded)).mean())
+    compression = (scene.compression - layer) / scene.sample.thickness
+    return uniform_motion(loaded, (1 - compression) ** -0.5 - 1)
 
 
 def recovery_errors(result: ExperimentResult, recovered: StressResult) -> xr.Dataset:

@@ -2,7 +2,7 @@
 
 from optical_palpation.palpation.algebraic import algebraic_result, algebraic_stress
 from optical_palpation.palpation.computational import Progress, computational_stress
-from optical_palpation.palpation.motion import read_sample_motion
+from optical_palpation.palpation.motion import read_sample_motion, uniform_motion
 from optical_palpation.palpation.result import ContactState, StressResult
 
 __all__ = [
@@ -13,4 +13,5 @@ __all__ = [
     "algebraic_stress",
     "computational_stress",
     "read_sample_motion",
+    "uniform_motion",
 ]

@@ -70,6 +70,40 @@ def read_sample_motion(path: str | os.PathLike[str]) -> xr.Dataset:
     )
 
 
+def uniform_motion(loaded: xr.DataArray, strain: float) -> xr.Dataset:
+    """Motion of a sample whose surface spreads evenly about the centre of the layer.
+
+    Parameters
+    ----------
+    loaded
+        Loaded thickness, on whose pixels the motion is given.
+    strain
+        How much longer lines on the surface become, 0.1 for 10 %; measured between two landmarks,
+        say. A sample that keeps its volume and is compressed evenly by a share e of its thickness
+        spreads by (1 - e)^(-1/2) - 1.
+
+    Raises
+    ------
+    InputError
+        If `strain` is no number above -0.5 and below 1.
+    """
+    if not -0.5 < strain < 1.0:
+        raise InputError(
+            f"the sample spreads by a strain above -0.5 and below 1, not {strain!r} (0.1 is 10 %)"
+        )
+    x0, x1, y0, y1 = layer_extent_of(loaded)
+    x, y = loaded["x"], loaded["y"]
+    share = strain / (1 + strain)  # of the position under load
+    flat = xr.zeros_like(loaded, dtype=float).drop_attrs(deep=False).transpose("y", "x")
+    parts = share * (x - 0.5 * (x0 + x1)), share * (y - 0.5 * (y0 + y1))
+    return xr.Dataset(
+        {
+            name: (flat + part).assign_attrs(units="mm")
+            for name, part in zip(MOTION, parts, strict=True)
+        }
+    )
+
+
 def _in_mm(variable: Variable, where: str) -> np.ndarray:
     unit = variable.unit or "mm"
     if unit not in _UNITS:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import psutil
@@ -11,7 +12,11 @@ import xarray as xr
 
 from optical_palpation.analysis import compare_maps, edge_response
 from optical_palpation.experiment import ExperimentResult, read_scene, run_experiment
-from optical_palpation.experiment.recovery import recovered_stress, recovery_errors
+from optical_palpation.experiment.recovery import (
+    recovered_stress,
+    recovery_errors,
+    spreading_sample,
+)
 from optical_palpation.experiment.scene import with_element_size
 from optical_palpation.palpation import Progress
 from optical_palpation.present.experiment import write_experiment_figure
@@ -114,8 +119,8 @@ def _about(true: ExperimentResult) -> str:
         f"together, {elements[0]:,} and {elements[1]:,} elements of "
         f"{1e3 * scene.mesh.element_size:g} um, friction {scene.friction.window:g} at the window, "
         f"{scene.friction.sample:g} at the sample and {scene.friction.plate:g} at the plate. "
-        "Stress is then computed from the loaded thickness alone, on another grid, and compared "
-        "with the true stress at the interface."
+        "Stress is then computed from what OCT would see, on another grid, and compared with the "
+        "true stress at the interface."
     )
 
 
@@ -154,28 +159,43 @@ def _recover(
     part: Part, setting: Setting, true: ExperimentResult, figure: str, size: float
 ) -> None:
     """Recover the stress from the thickness, without and with noise, and say how well."""
-    scene_friction = true.scene.friction.sample
-    cases = (
-        ("no friction at the sample", 0.0, 0.0, None),
-        ("no friction at the sample, pixel noise of 1 um", 1e-3, 0.0, None),
-        (f"friction {scene_friction:g} at the sample, as the scene's", 0.0, scene_friction, None),
-        (f"friction {scene_friction:g} at the sample, K/mu of 20", 0.0, scene_friction, 20.0),
+    friction = true.scene.friction.sample
+    known = f"friction {friction:g} at the sample, as the scene's, its motion known"
+    blind = f"friction {friction:g} at the sample, its motion unknown"
+    cases: tuple[tuple[str, str, dict[str, Any]], ...] = (
+        (known, "discretisation of both", {"sample_motion": true.maps}),
+        (f"{known}, pixel noise of 1 um", "", {"sample_motion": true.maps, "noise": 1e-3}),
+        (
+            f"friction {friction:g} at the sample, taken to spread evenly and to keep its volume",
+            "needs only the travel of the plate and the thickness of the sample",
+            {"sample_motion": spreading_sample(true)},
+        ),
+        (
+            blind,
+            "the imprint stands still sideways, where the real surface spreads and takes the layer "
+            "along: its friction has the wrong direction",
+            {},
+        ),
+        (
+            f"{blind}, K/mu of 20",
+            "the published code's default: a compressible layer is softer, which makes up for that",
+            {"bulk_to_shear": 20.0},
+        ),
+        (
+            "no friction at the sample",
+            "the paper leaves friction at the sample out (section 4)",
+            {"sample_friction": 0.0},
+        ),
     )
-    why = {
-        0.0: "the paper leaves friction at the sample out (section 4)",
-        scene_friction: "the imprint stands still sideways, where the real surface goes with the "
-        "layer: its friction is too much",
-    }
     picture = f"figure-{figure}.png"
-    for number, (what, noise, friction, bulk_to_shear) in enumerate(cases):
+    share = 0.5 / len(cases)
+    for number, (what, why, options) in enumerate(cases):
         recovered = recovered_stress(
             true,
             element_size=size,
-            noise=noise,
-            sample_friction=friction,
-            bulk_to_shear=bulk_to_shear,
             threads=setting.threads,
-            progress=_reporter(setting, 0.5 + number / 8, 1 / 8, "stress from its thickness"),
+            progress=_reporter(setting, 0.5 + number * share, share, "stress from its thickness"),
+            **{"noise": 0.0, **options},
         )
         if number == 0:
             write_experiment_figure(true, setting.folder / picture, recovered)
@@ -190,16 +210,13 @@ def _recover(
                 f"{float(computational['relative_rms']):.1%} (bias "
                 f"{float(computational['relative_bias']):+.1%}, force {force:+.1%}); algebraic "
                 f"{float(algebraic['relative_rms']):.0%}",
-                why[friction]
-                if bulk_to_shear is None
-                else "the published code's default: a compressible layer is softer, which makes up "
-                "for too much friction",
+                why,
             )
         )
     part.pictures.append(
         (
             picture,
-            f"True stress and that of both methods, without friction at the sample (figure "
+            f"True stress and that of both methods, the motion of the sample known (figure "
             f"{figure} of the paper).",
         )
     )
