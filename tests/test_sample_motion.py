@@ -23,6 +23,8 @@ from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.palpation import computational_stress, read_sample_motion, uniform_motion
 from optical_palpation.palpation.motion import match_sample_motion
 from optical_palpation.present import read_result
+from optical_palpation.study import read_study, run_study
+from optical_palpation.study.script import reproducing_lines
 from optical_palpation.thickness import thickness_map
 
 C10, C01 = 2.23, 0.703
@@ -290,3 +292,60 @@ def test_command_takes_a_strain_or_a_file(tmp_path, monkeypatch, run):
     )
     assert status == 2
     assert "--sample-motion" in err
+
+
+STUDY = """
+[loaded]
+map = "map.npy"
+field_of_view = [1.5, 1.5]
+[unloaded]
+thickness = 0.5
+[material]
+c10 = 2.23
+c01 = 0.703
+[friction]
+window = 0.2
+sample = 0.2
+[grid]
+element_size = 0.25
+threads = 1
+[outputs]
+write = []
+[sample]
+motion = """
+
+
+def test_study_takes_a_strain_or_a_file_and_follows_what_is_in_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    loaded = bump()
+    np.save("map.npy", loaded.values)
+    path = tmp_path / "study.toml"
+
+    def force(motion: str) -> float:
+        path.write_text(STUDY + motion)
+        study = read_study(path)
+        folder = run_study(study).folder
+        result = {"np": np}
+        exec(reproducing_lines(study), result)  # what the report shows
+        maps = read_result(folder / "stress.nc").maps
+        again = result["result"].maps.attrs["sample_force_mN"]
+        assert maps.attrs["sample_force_mN"] == pytest.approx(again, rel=1e-9)
+        return float(again)
+
+    by_strain = force("0.2")
+    uniform_motion(loaded, 0.2).to_netcdf("motion.nc", engine="h5netcdf")
+    assert force("'motion.nc'") == pytest.approx(by_strain, rel=1e-6)
+    uniform_motion(loaded, 0.0).to_netcdf("motion.nc", engine="h5netcdf")
+    assert force("'motion.nc'") > 1.2 * by_strain
+    uniform_motion(loaded, 0.0).drop_vars("x").to_netcdf("motion.nc", engine="h5netcdf")
+    with pytest.raises(InputError, match=r"study.toml, \[sample\]: motion.nc has no variable 'x'"):
+        run_study(read_study(path.relative_to(tmp_path)))
+
+
+@pytest.mark.parametrize("motion", ["'absent.nc'", "2.0", "true", "''"])
+def test_study_names_a_motion_that_cannot_be(tmp_path, motion):
+    np.save(tmp_path / "map.npy", bump().values)
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY + motion)
+    with pytest.raises(InputError, match=r"sample\.motion"):
+        read_study(path)

@@ -66,6 +66,7 @@ def uncertainty(
     from optical_palpation.material import MooneyRivlin
     from optical_palpation.present.uncertainty_figure import write_uncertainty_figure
     from optical_palpation.present.uncertainty_file import write_uncertainty
+    from optical_palpation.study.inputs import sample_motion
 
     if not any((window_friction, sample_friction, modulus, thickness, thickness_noise)):
         raise typer.BadParameter("all errors are zero: give at least one")
@@ -94,6 +95,7 @@ def uncertainty(
             thickness_noise=noise,
             nominal=nominal,
             progress=progress,
+            sample_motion=sample_motion(asked, loaded),
             **asked.grid.model_dump(),
         )
     output = output or done.folder / "uncertainty.nc"

@@ -9,6 +9,8 @@ from typing import Any
 
 import xarray as xr
 
+from optical_palpation.errors import InputError
+from optical_palpation.palpation import read_sample_motion, uniform_motion
 from optical_palpation.study.record import sha256
 from optical_palpation.study.schema import MapInput, Study, VolumeInput, Volumes
 from optical_palpation.thickness import find_layer
@@ -79,6 +81,33 @@ def facts(study: Study, source: VolumeInput | MapInput) -> dict[str, Any]:
             "corrections_sha256": sha256(corrections) if corrections else None,
             **finding(source),
         }
+
+
+def sample_motion(study: Study, loaded: xr.DataArray) -> xr.Dataset | None:
+    """Motion of the sample as the study gives it; of a strain, on the pixels of `loaded`."""
+    motion = study.sample.motion
+    if isinstance(motion, float):
+        return uniform_motion(loaded, motion)
+    return read_motion(study)
+
+
+def read_motion(study: Study) -> xr.Dataset | None:
+    """Read the file of the sample's motion, if the study names one."""
+    motion = study.sample.motion
+    if not isinstance(motion, str):
+        return None
+    try:
+        return read_sample_motion(study.path(motion))
+    except InputError as error:
+        raise InputError(f"{study.file}, [sample]: {error}") from error
+
+
+def motion_facts(study: Study) -> dict[str, Any]:
+    """What the motion of the sample adds to the facts on which the stress depends."""
+    motion = study.sample.motion
+    if motion is None:
+        return {}
+    return {"sample": sha256(study.path(motion)) if isinstance(motion, str) else motion}
 
 
 def parameters(study: Study) -> dict[str, Any]:

@@ -94,12 +94,12 @@ def _check(study: Study) -> None:
         raise InputError(
             f"{study.file}: layer.registration = true needs an unloaded volume or map, not a number"
         )
-    for side, source in study.inputs.items():
-        for key in ("volume", "map", "corrections"):
-            name = getattr(source, key, None)
-            if name is not None and not study.path(name).exists():
+    for table, values in (*study.inputs.items(), ("sample", study.sample)):
+        for key in ("volume", "map", "corrections", "motion"):
+            name = getattr(values, key, None)
+            if isinstance(name, str) and not study.path(name).exists():
                 raise InputError(
-                    f"{study.file}: {side}.{key} = {name!r}: there is no {study.path(name)}; "
+                    f"{study.file}: {table}.{key} = {name!r}: there is no {study.path(name)}; "
                     "paths count from the folder of the study file"
                 )
 
@@ -108,6 +108,7 @@ _HINTS = {
     "c10": "kPa",
     "c01": "kPa",
     "thickness": "mm",
+    "motion": "the strain by which the sample spreads, 0.1 for 10 %, or a file",
     "element_size": "mm, one number or three for x, y and z",
     "extent": "mm, x0, x1, y0, y1",
     "window_range": "mm, shallow and deep",

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from optical_palpation.errors import InputError
-from optical_palpation.study.inputs import facts, parameters
+from optical_palpation.study.inputs import facts, parameters, read_motion
 from optical_palpation.study.record import Progress, make_all
 from optical_palpation.study.schema import Study
 from optical_palpation.study.stages import THICKNESS, Stages
@@ -74,6 +74,7 @@ def run_study(
             inputs[side] = facts(study, source)
         except InputError as error:
             raise InputError(f"{study.file}, [{side}]: {error}") from error
+    read_motion(study)  # should the file be useless, that is better known before all the work
     about = {
         "study_sha256": hashlib.sha256(study.file.read_bytes()).hexdigest(),
         "parameters": parameters(study),

@@ -130,6 +130,12 @@ class Friction(Table):
     sample: Coefficient
 
 
+class Sample(Table):
+    """How the sample's surface moves sideways: the strain by which it spreads, or a file."""
+
+    motion: Annotated[float, Field(gt=-0.5, lt=1)] | Text | None = None
+
+
 class Grid(Table):
     """The finite elements and their solver."""
 
@@ -157,6 +163,7 @@ class Study(Table):
     layer: Layer = Layer()
     material: Material
     friction: Friction
+    sample: Sample = Sample()
     grid: Grid
     outputs: Outputs = Outputs()
     _file: Path = PrivateAttr()

@@ -34,9 +34,14 @@ def _lines(study: Study) -> Iterator[str]:
         yield 'unloaded = thickness.clean_thickness(unloaded)["thickness"]'
     yield 'loaded = thickness.clean_thickness(loaded)["thickness"]'
     yield f"silicone = material.MooneyRivlin({_arguments(study.material.model_dump())})"
+    motion = study.sample.motion
+    if isinstance(motion, str):
+        yield f"motion = palpation.read_sample_motion({motion!r})"
+    elif motion is not None:
+        yield f"motion = palpation.uniform_motion(loaded, {motion!r})"
     yield "result = palpation.computational_stress("
     yield f"    loaded, unloaded, silicone, {_arguments(friction)},"
-    yield f"    {_arguments(grid)}"
+    yield f"    {_arguments(grid)}{'' if motion is None else ', sample_motion=motion'}"
     yield ")"
 
 

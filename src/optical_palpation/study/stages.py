@@ -20,7 +20,15 @@ from optical_palpation import present
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import algebraic_result, computational_stress
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.study.inputs import by_side, find_boundaries, finding, open_input, parameters
+from optical_palpation.study.inputs import (
+    by_side,
+    find_boundaries,
+    finding,
+    motion_facts,
+    open_input,
+    parameters,
+    sample_motion,
+)
 from optical_palpation.study.record import Make, Progress, Stage, Tell
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
 from optical_palpation.study.script import reproducing_lines
@@ -72,7 +80,8 @@ class Stages:
         stages.append(
             Stage(ALGEBRAIC, {"material": tables["material"]}, [THICKNESS], self._algebraic)
         )
-        stages.append(Stage(STRESS, tables, [THICKNESS], self._computational))
+        facts = tables | motion_facts(study)
+        stages.append(Stage(STRESS, facts, [THICKNESS], self._computational))
         everything = parameters(study)
         del everything["outputs"]
         makers = {
@@ -198,12 +207,14 @@ class Stages:
     def _computational(self, path: Path, tell: Tell) -> None:
         study = self.study
         thickness = xr.load_dataset(path.with_name(THICKNESS), engine="h5netcdf")
+        loaded = thickness["loaded_thickness"]
         result = computational_stress(
-            thickness["loaded_thickness"],
+            loaded,
             thickness["initial_thickness"],
             MooneyRivlin(**study.material.model_dump()),
             window_friction=study.friction.window,
             sample_friction=study.friction.sample,
+            sample_motion=sample_motion(study, loaded),
             progress=tell,
             **study.grid.model_dump(),
         )
