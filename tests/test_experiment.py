@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from optical_palpation.errors import ConvergenceError, InputError
-from optical_palpation.experiment import Scene, read_scene, run_experiment, scene_names
+from optical_palpation.experiment import Scene, read_scene, run_experiment, scene_names, virtual
 from optical_palpation.experiment import path as load_path
 from optical_palpation.experiment.assembly import at_rest, build
 from optical_palpation.experiment.equilibrium import LAYER, balance, newton_step
@@ -187,6 +187,60 @@ def test_smaller_sample_leaves_the_rest_of_the_layer_alone():
     assert 0.48 < float(middle.sel(x=0.1, method="nearest")) < 0.5
     assert (maps["window_contact_state"].sel(x=slice(0.0, 0.05)) == 0).any()
     assert maps.attrs["force_balance"] < 1e-5
+
+
+def test_free_edge_that_rolls_onto_the_window_takes_few_iterations():
+    """Many nodes turn round there: friction must not swing, nor a side snap down and jam."""
+    result = run_experiment(
+        scene(
+            compression=0.5,
+            layer__size=(1.0, 1.0),
+            sample__size=(1.0, 1.0),
+            friction=FRICTION,
+            mesh__element_size=0.125,
+            mesh__layer_elements=4,
+        ),
+        threads=1,
+    )
+    record = json.loads(result.maps.attrs["convergence"])
+    assert max(entry["newton"] for entry in record) <= 8
+    assert len(record) <= 6
+    z = result.layer["position"].sel(component="z").values
+    assert z[1:-1].min() > 0  # no side goes through the window
+    assert result.maps.attrs["force_balance"] < 1e-5
+
+
+@pytest.mark.slow
+def test_path_begun_on_a_coarse_mesh_ends_where_the_whole_path_on_the_fine_one_does(monkeypatch):
+    rough = scene(
+        compression=0.3, friction=FRICTION, sample__relief=RIDGES, mesh__element_size=0.125
+    )
+    inside = {"x": slice(0.25, 1.75), "y": slice(0.25, 1.75)}
+    whole = run_experiment(rough, threads=1).maps.sel(inside)
+    monkeypatch.setattr(virtual, "_COARSEST", 500)
+    begun = run_experiment(rough, threads=1).maps.sel(inside)
+    assert len({entry["elements"] for entry in json.loads(begun.attrs["convergence"])}) == 2
+    difference = begun["loaded_thickness"] - whole["loaded_thickness"]
+    assert float(np.sqrt((difference**2).mean())) < 1.5e-4
+    error = begun["axial_stress"] - whole["axial_stress"]
+    assert float(np.sqrt((error**2).mean() / (whole["axial_stress"] ** 2).mean())) < 2e-3
+
+
+@pytest.mark.slow
+def test_sinusoid_agrees_with_the_published_simulation(shared_data):
+    """Figure 3a: an independent code, on elements of the same size."""
+    published = np.load(shared_data / "layers/sinusoid_simulated_L1.npz")
+    x, y = published["x_mm"], published["y_mm"]
+    inner = np.ix_((y >= 0.5) & (y <= 4.5), (x >= 0.5) & (x <= 4.5))
+    theirs = published["L1_mm"][inner]
+    thickness = run_experiment(read_scene("sinusoid")).maps["loaded_thickness"]
+    ours = thickness.interp(x=x, y=y).values[inner]
+    assert np.sqrt(np.mean((ours - theirs) ** 2)) < 3e-3
+    assert abs((ours - theirs).mean()) < 1e-3
+    along = theirs.mean(0)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(along)))) + 1
+    assert turns.size >= 7
+    assert np.abs(ours - theirs)[:, turns].max() < 6e-3
 
 
 def test_tangent_is_the_derivative_of_forces_contact_and_volumes():

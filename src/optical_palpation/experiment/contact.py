@@ -25,7 +25,7 @@ _MEMORY = 10.0
 #: A contact spring is at most this many times stiffer than the scale c of its law. What a Newton
 #: step thereby leaves of the law's violation is its inverse.
 _STIFFEST = 1e4
-#: Penalty of the sides in shear moduli per element height, and the gap at which it begins as a share
+#: Penalty of the sides in shear moduli per element height, and the gap at which it begins, a share
 #: of that height. A node that is caught only when it touches snaps down and jams its neighbours.
 _SIDE_PENALTY, _SIDE_GAP = 8.0, 0.6
 
