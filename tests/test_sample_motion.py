@@ -1,5 +1,7 @@
 """An imprint that moves sideways with the sample, against closed forms and the moving sample."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -9,17 +11,21 @@ from numpy.testing import assert_allclose
 
 from optical_palpation.errors import InputError
 from optical_palpation.experiment import Scene, run_experiment
+from optical_palpation.experiment.assembly import at_rest, build, column_forces
+from optical_palpation.experiment.equilibrium import INTERFACE, LAYER, SAMPLE
+from optical_palpation.experiment.linear import LinearSolver
+from optical_palpation.experiment.path import StepControl, follow
 from optical_palpation.experiment.recovery import (
     recovered_stress,
     recovery_errors,
     spreading_sample,
 )
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.mechanics.cascade import solve
+from optical_palpation.mechanics.cascade import make_solver, solve
 from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.imprint import Imprint
-from optical_palpation.mechanics.newton import Tolerances, balance
-from optical_palpation.mechanics.problem import LayerProblem
+from optical_palpation.mechanics.newton import Tolerances, balance, equilibrate
+from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.palpation import computational_stress, read_sample_motion, uniform_motion
 from optical_palpation.palpation.motion import match_sample_motion
 from optical_palpation.present import read_result
@@ -135,22 +141,87 @@ def test_swapped_axes_give_swapped_stress():
     assert_allclose(other.values.T, one.values, atol=2e-4 * float(abs(one).max()))
 
 
-def test_the_true_motion_brings_back_the_true_stress_of_a_soft_sample():
-    """Experiment and method share the laws, but no grid; the friction is the scene's."""
-    scene = Scene.model_validate(
-        {
-            "compression": 0.25,
-            "layer": {"size": (2.0, 2.0), "thickness": 0.5},
-            "sample": {
-                "size": (2.0, 2.0),
-                "thickness": 1.0,
-                "relief": [{"kind": "sinusoid", "amplitude": 0.03, "wavelength": 1.3}],
-            },
-            "friction": {"window": 0.3, "sample": 0.2, "plate": 0.1},
-            "mesh": {"element_size": 0.16, "layer_elements": 3},
+SOFT = Scene.model_validate(
+    {
+        "compression": 0.25,
+        "layer": {"size": (2.0, 2.0), "thickness": 0.5},
+        "sample": {
+            "size": (2.0, 2.0),
+            "thickness": 1.0,
+            "relief": [{"kind": "sinusoid", "amplitude": 0.03, "wavelength": 1.3}],
+        },
+        "friction": {"window": 0.3, "sample": 0.2, "plate": 0.1},
+        "mesh": {"element_size": 0.16, "layer_elements": 3},
+    }
+)
+
+
+def seen_surface(assembly, u, pixels):
+    """Height and lateral displacement of the sample's surface at points, as the experiment has it.
+
+    The points are given to the experiment's own contact as if they were nodes of the layer.
+    """
+    x, y = (axis.ravel() for axis in np.meshgrid(pixels, pixels))
+    interface, sample = assembly.contacts[INTERFACE], assembly.bodies[SAMPLE].grid
+    number = assembly.n_nodes + np.arange(x.size)
+    start = [
+        np.interp(at, nodes, np.arange(nodes.size)) for at, nodes in ((x, sample.x), (y, sample.y))
+    ]
+    points = replace(
+        interface, slaves=number.reshape(2 * (pixels.size,)), start=np.stack(start, axis=1)
+    )
+    level = np.stack([x, y, np.full(x.size, 0.3)], axis=1)
+    met = points.meet(np.concatenate([assembly.position(u), level]))
+    moved = -met.lateral(np.concatenate([u, np.zeros_like(level)]))
+    return (0.3 - met.penetration).reshape(number.size // pixels.size, -1), moved.T.reshape(
+        2, pixels.size, -1
+    )
+
+
+def test_the_layer_alone_on_the_moving_surface_is_the_layer_of_the_experiment():
+    """The two solvers share the grid here, and one load step: they must agree on every node."""
+    scene = SOFT.model_copy(
+        update={
+            "compression": 0.12,
+            "sample": SOFT.sample.model_copy(update={"size": (2.8, 2.8)}),
+            "mesh": SOFT.mesh.model_copy(update={"element_size": 0.25}),
         }
     )
-    true = run_experiment(scene, threads=1)
+    assembly = build(scene)
+    with LinearSolver() as solver:
+        path = follow(
+            assembly, at_rest(assembly), column_forces(assembly), solver, control=StepControl(1.0)
+        )
+    assert len(path.record) == 1
+    u, p = assembly.split(path.state.u)[LAYER], path.state.p[LAYER]
+    grid, pixels = assembly.bodies[LAYER].grid, np.linspace(-0.2, 2.2, 241)
+    height, motion = seen_surface(assembly, path.state.u, pixels)
+    assert abs(motion).max() > 0.03
+    flat = np.full_like(height, 0.5)
+    errors = []
+    for moves in (motion, None):
+        problem = LayerProblem(
+            grid,
+            Imprint(pixels, pixels, flat, height, moves),
+            C10,
+            C01,
+            1e4 * MU,
+            (0.3, 0.2),
+            slip_length=assembly.slip_length,
+        )
+        forces = [force.reshape(grid.node_shape[1:]) for force in path.state.forces[:2]]
+        state = replace(LayerState.unloaded(grid), load=1.0, u=u.copy(), p=p.copy())
+        state.normal_force = np.stack(forces)
+        equilibrate(problem, state, make_solver(problem, "direct"), Tolerances())
+        change = np.linalg.norm(state.normal_force - forces, axis=(1, 2))
+        errors.append(float((change / np.linalg.norm(forces, axis=(1, 2))).max()))
+    assert errors[0] < 2e-3
+    assert errors[1] > 0.1
+
+
+def test_the_true_motion_brings_back_the_true_stress_of_a_soft_sample():
+    """Experiment and method share the laws, but no grid; the friction is the scene's."""
+    true = run_experiment(SOFT, threads=1)
 
     def error(motion: xr.Dataset | None) -> float:
         found = recovered_stress(true, element_size=0.125, sample_motion=motion, threads=1)
