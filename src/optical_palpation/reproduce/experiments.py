@@ -178,7 +178,8 @@ def _recover(
         ),
         (
             f"{blind}, K/mu of 20",
-            "the published code's default: a compressible layer is softer, which hides much of that",
+            "the published code's default: a compressible layer is softer, "
+            "which hides much of that",
             {"bulk_to_shear": 20.0},
         ),
         (
