@@ -1,36 +1,31 @@
-"""From coarse to fine: the load path begins on a coarse grid and ends on the finest.
+"""From coarse to fine: the load path is followed on a coarse grid, and ends on the finest.
 
-A Newton step costs little on a coarse grid, so the load path is begun there. Its state at the
-handover is carried from grid to grid, displacement, pressure, contact forces and friction memory
-together. What happens late, at the free edges above all, depends on the grid and is followed on the
-finest alone.
+A Newton step costs little on a coarse grid, so the load is followed there. The loaded layer is then
+carried from grid to grid, displacement, pressure, contact forces and friction memory together, and
+brought into equilibrium on each.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .contact import remember_slip
 from .direct import DirectSolver
 from .grid import LayerGrid
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .newton import Balance, LinearSolver, NotConverged, Tolerances, equilibrate
-from .path import LoadNotReached, StepControl, extrapolated, follow
+from .path import LoadNotReached, StepControl, follow
 from .problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
 
 #: Elements up to which a grid is the start of the cascade.
-_COARSEST = 8000
-#: Fraction of the full load at which a solution changes grids.
-_HANDOVER = 0.2
+_COARSEST = 16000
 
 
 @dataclass
@@ -82,6 +77,7 @@ def prolong(state: LayerState, coarse: LayerProblem, fine: LayerProblem) -> Laye
         p=target.interpolate_cells_from(source, state.p),
         slip=target.interpolate_from(source, state.slip),
         anchor=target.interpolate_from(source, state.anchor),
+        anchor_load=state.anchor_load,
         normal_force=target.interpolate_from(source, pressure)
         * target.surface_areas(target.nodes[:, -1]),
     )
@@ -119,69 +115,26 @@ def solve(
         levels.append(coarser)
     record: list[tuple[int, float, int]] = []
     state: LayerState | None = None
-    full: LayerState | None = None
     for n in reversed(range(len(levels))):
         level = levels[n]
         linear = make_solver(level, solver)
         report = partial(on_iteration, level) if on_iteration else None
-        load = partial(
-            follow,
-            level,
-            linear,
-            tolerances,
-            control=control,
-            on_iteration=report,
-            target=1.0 if n == 0 else _HANDOVER,
-        )
-        path = None
-        if state is not None and full is not None:
-            # a coarse solution may be too far away: then the load is followed on this grid
-            with suppress(NotConverged, LoadNotReached):
-                state, full, count = _carried(
-                    state, full, levels[n + 1], level, linear, tolerances, report
+        if state is not None:
+            state = prolong(state, levels[n + 1], level)
+            try:
+                count = equilibrate(
+                    level, state, linear, tolerances, partial(report, 1.0) if report else None
                 )
-                record.append((level.grid.n_elements, state.load, count))
-                path = load(state, full)
-        if path is None:
+                record.append((level.grid.n_elements, 1.0, count))
+            except NotConverged:
+                state = None  # too far away: the load is followed on this grid
+        if state is None:
             rest = LayerState.unloaded(level.grid)
             full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
-            path = load(rest, full)
-        state, before, steps = path
-        record += [(level.grid.n_elements, *step) for step in steps]
-        if before.load < state.load < 1.0:
-            full = extrapolated(before, state, 1.0)
-            remember_slip(level, state)
+            state, steps = follow(level, linear, tolerances, rest, full, control, report)
+            record += [(level.grid.n_elements, *step) for step in steps]
     assert state is not None  # there is at least one level
     return Solution(problem, state, record)
-
-
-def _carried(
-    state: LayerState,
-    full: LayerState,
-    coarse: LayerProblem,
-    fine: LayerProblem,
-    linear: LinearSolver,
-    tolerances: Tolerances,
-    report: Callable[[float, int, Balance, int], None] | None,
-) -> tuple[LayerState, LayerState, int]:
-    """Carry a state of ``coarse`` to ``fine``, with the estimate of its ``full`` load.
-
-    The layer moves by a few micrometres from one grid to the next. That is no slip: the state is
-    brought into equilibrium and its friction memory laid anew where the nodes then are.
-    """
-    state, full = prolong(state, coarse, fine), prolong(full, coarse, fine)
-    full.u -= state.u
-    full.p -= state.p
-
-    def forward(iteration: int, now: Balance, krylov: int) -> None:
-        if report:
-            report(state.load, iteration, now, krylov)
-
-    count = equilibrate(fine, state, linear, tolerances, forward)
-    state.anchor = state.lateral()
-    full.u += state.u
-    full.p += state.p
-    return state, full, count
 
 
 def make_solver(problem: LayerProblem, name: str) -> LinearSolver:

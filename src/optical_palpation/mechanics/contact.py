@@ -30,8 +30,9 @@ imprint: a uniform pressure is then in exact equilibrium on the mesh. With the i
 pressure well above the shear modulus drives the nodes sideways.
 
 A free side bulges and, under a large compression, rolls onto the window and the imprint. The nodes
-of the sides therefore meet both surfaces too, with a stiff smooth penalty and no friction: the band
-that rolls over is narrow and carries little, but without it the layer would turn inside out there.
+of the sides therefore meet both surfaces too, with a penalty and no friction. It sets in smoothly,
+before they touch: the band that rolls over is an element or two wide and carries little, but how it
+begins to carry decides whether Newton's method gets past it.
 """
 
 from __future__ import annotations
@@ -51,10 +52,10 @@ Array = NDArray[np.float64]
 _MEMORY = 10.0
 #: A contact spring stiffer than this many times its scale c is a prescribed displacement.
 _RIGID = 1e3
-#: Penalty of the sides, in shear moduli per element height, and its smoothing, in shear moduli: a
-#: contact pressure of one shear modulus leaves a penetration of 10 % of an element, and contact
-#: begins at a gap of 1 %.
-_SIDE_PENALTY, _SIDE_SMOOTHING = 10.0, 0.1
+#: Penalty of the sides in shear moduli per element height, and the gap at which it begins as a
+#: share of the height that the outermost element would have if the layer were pressed evenly. Nodes
+#: that are caught only where they touch snap down one after the other along the edge.
+_SIDE_PENALTY, _SIDE_GAP = 12.0, 0.75
 
 
 @dataclass(frozen=True)
@@ -202,13 +203,15 @@ def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     count = nodes[0].size if problem.edges == "free" else 0
     x, y, z = (grid.nodes[c][nodes][:count] + state.u[c][nodes][:count] for c in range(3))
     h, hx, hy, hxx, hxy, hyy = problem.imprint.evaluate(x, y, state.load)
-    dz, dy, dx = grid.spacing()
-    unit = problem.shear_modulus * 0.5 * (dx + dy)  # shear modulus x area of a node / dz
-    c, eps = _SIDE_PENALTY * unit, _SIDE_SMOOTHING * unit * dz
-    t = c * np.stack([-z, z - h])
-    near = np.clip(t + eps, 0.0, 2 * eps)
-    normal = near**2 / (4 * eps) + np.maximum(t - eps, 0.0)
-    slope = c * near / (2 * eps)
+    _, dy, dx = grid.spacing()
+    c = _SIDE_PENALTY * problem.shear_modulus * 0.5 * (dx + dy)  # pressure x area of a node / dz
+    x0, y0 = (grid.nodes[n][nodes][:count] for n in range(2))
+    height = problem.imprint.evaluate(x0, y0, state.load)[0]
+    gap = _SIDE_GAP * height * np.array([[grid.depth[1]], [1 - grid.depth[-2]]])
+    penetration = np.stack([-z, z - h])
+    near = np.clip(1 + penetration / gap, 0.0, 2.0)
+    normal = c * (0.25 * gap * near**2 + np.maximum(penetration - gap, 0.0))
+    slope = 0.5 * c * near
     flat, one = np.zeros_like(x), np.ones_like(x)
     # gradients of the penetrations
     gradient = np.array([[flat, flat, -one], [-hx, -hy, one]])

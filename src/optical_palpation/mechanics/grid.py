@@ -58,6 +58,16 @@ class LayerGrid:
         return nodes
 
     @cached_property
+    def node_volumes(self) -> Array:
+        """Tributary volumes of the unloaded nodes, (nz + 1, ny + 1, nx + 1), mm^3."""
+        shares = []
+        for nodes in (self.depth, self.y, self.x):
+            half = 0.5 * np.diff(nodes)
+            shares.append(np.concatenate([half, [0]]) + np.concatenate([[0], half]))
+        z, y, x = np.ix_(*shares)
+        return z * y * x * self.thickness
+
+    @cached_property
     def side_nodes(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
         """Indices (k, j, i) of the nodes on the four sides that lie on neither face."""
         nz1, ny1, nx1 = self.node_shape

@@ -67,6 +67,15 @@ _SMOOTHING = (3e-3, 1e-3)
 _STAGNATION = 12
 
 
+#: Least damping of a step that otherwise fails, in shear moduli per thickness squared, and how
+#: often a step is tried.
+_DAMPING, _ATTEMPTS = 30.0, 6
+
+
+#: Share of its smallest volume ratio that the layer must keep in a step.
+_FLATTENING = 0.3
+
+
 @dataclass
 class Balance:
     """Internal forces, volumes and contact of a state, and how far it is from equilibrium.
@@ -138,6 +147,48 @@ def balance(
     )
 
 
+def _search(
+    problem: LayerProblem,
+    state: LayerState,
+    now: Balance,
+    direction: Array,
+    smoothing: float,
+    system: NewtonSystem,
+    solution: tuple[Array, Array],
+    lenient: bool,
+) -> tuple[Balance, Array, float] | None:
+    """Take the largest fraction of a Newton step that leads on (``state`` changed in place).
+
+    The error must fall with the fraction, or, where ``lenient``, at most double.
+
+    Returns
+    -------
+    tuple
+        The new balance, the new direction of friction and the fraction; None if there is none.
+    """
+    du, dp = solution
+    step = system.to_cartesian(du)
+    change = system.contact_forces(now.force, du, dp) - state.normal_force
+    slip_step = np.stack([step[:2, 0], step[:2, -1]]) / problem.slip_length
+    turn = direction_step(slip_coordinate(problem, state), direction, slip_step)
+    trial = state.copy()
+    for fraction in (1.0, 0.5, 0.25, 0.125):
+        trial.u = state.u + fraction * step
+        trial.p = state.p + fraction * dp
+        trial.normal_force = state.normal_force + fraction * change
+        turned = direction + fraction * turn
+        turned /= np.maximum(1.0, np.sqrt((turned**2).sum(1, keepdims=True)))
+        after = balance(problem, trial, smoothing, turned)
+        growth = 2.0 if lenient else 1 - 0.3 * fraction
+        if (
+            after.min_jacobian > _FLATTENING * now.min_jacobian
+            and after.force_error < growth * now.force_error
+        ):
+            state.u, state.p, state.normal_force = trial.u, trial.p, trial.normal_force
+            return after, turned, fraction
+    return None
+
+
 def equilibrate(
     problem: LayerProblem,
     state: LayerState,
@@ -164,6 +215,8 @@ def equilibrate(
     storage = None
     errors: list[float] = []
     linear = tolerances.linear
+    least = _DAMPING * problem.shear_modulus / float(np.median(problem.grid.thickness)) ** 2
+    damping = 0.0
     for iteration in range(tolerances.iterations):
         if on_iteration:
             on_iteration(iteration, now, krylov)
@@ -177,48 +230,43 @@ def equilibrate(
             and now.volume_error < tolerances.volume
         ):
             return iteration
-        system = assemble(
-            problem,
-            state,
-            now.contact,
-            now.force,
-            now.volume,
-            now.volume_ref,
-            solver.gamma,
-            solver.dtype,
-            storage,
-        )
-        storage = system.stencil
-        du, dp, krylov = solver.solve(system, linear)
-        if not (np.isfinite(du).all() and np.isfinite(dp).all()):
-            raise NotConverged("the linear system could not be solved")
-        step = system.to_cartesian(du)
-        change = system.contact_forces(now.force, du, dp) - state.normal_force
-        slip_step = np.stack([step[:2, 0], step[:2, -1]]) / problem.slip_length
-        turn = direction_step(slip_coordinate(problem, state), direction, slip_step)
-        trial = state.copy()
-        best = None
-        for fraction in (1.0, 0.5, 0.25, 0.125):
-            trial.u = state.u + fraction * step
-            trial.p = state.p + fraction * dp
-            trial.normal_force = state.normal_force + fraction * change
-            turned = direction + fraction * turn
-            turned /= np.maximum(1.0, np.sqrt((turned**2).sum(1, keepdims=True)))
-            after = balance(problem, trial, smoothing, turned)
-            if after.min_jacobian < 0.02 or not np.isfinite(after.force_error):
-                continue
-            if best is None or after.force_error < best[0].force_error:
-                best = after, turned, trial.u, trial.p, trial.normal_force
-            # the first step crosses the new load: it may leave more out of balance than it found
-            if iteration == 0 or after.force_error < (1 - 0.3 * fraction) * now.force_error:
+        krylov = 0
+        for _ in range(_ATTEMPTS):
+            system = assemble(
+                problem,
+                state,
+                now.contact,
+                now.force,
+                now.volume,
+                now.volume_ref,
+                solver.gamma,
+                solver.dtype,
+                storage,
+                damping,
+            )
+            storage = system.stencil
+            du, dp, count = solver.solve(system, linear)
+            krylov += count
+            if not (np.isfinite(du).all() and np.isfinite(dp).all()):
+                raise NotConverged("the linear system could not be solved")
+            # The first step crosses the new load and a damped one a snap: both may leave more out
+            # of balance than they found.
+            lenient = iteration == 0 or damping > 0
+            found = _search(problem, state, now, direction, smoothing, system, (du, dp), lenient)
+            if found is not None:
                 break
+            damping = max(least, 5.0 * damping)
+        else:
+            raise NotConverged("no step leads nearer to equilibrium")
+        after, direction, fraction = found
         # a step that must be cut may be the fault of its linear solution
         linear = (
             tolerances.linear if fraction == 1.0 else max(0.1 * linear, 1e-3 * tolerances.linear)
         )
-        if best is None:
-            raise NotConverged("an element turned inside out")
-        now, direction, state.u, state.p, state.normal_force = best
+        damping *= 0.5 * min(1.0, after.force_error / now.force_error)
+        if damping < 0.1 * least:
+            damping = 0.0
+        now = after
         if now.force_error < 0.3 * smoothing and smoothing > _SMOOTHING[1]:
             smoothing = max(_SMOOTHING[1], 0.2 * smoothing)
             now = balance(problem, state, smoothing, direction)

@@ -55,9 +55,8 @@ def follow(
     full: LayerState,
     control: StepControl | None = None,
     on_iteration: Callable[[float, int, Balance, int], None] | None = None,
-    target: float = 1.0,
-) -> tuple[LayerState, LayerState, list[tuple[float, int]]]:
-    """Load the layer from ``start`` to the load ``target``.
+) -> tuple[LayerState, list[tuple[float, int]]]:
+    """Load the layer fully, from ``start`` on.
 
     Parameters
     ----------
@@ -69,8 +68,7 @@ def follow(
     Returns
     -------
     tuple
-        The state at the target, the last state before it (whose friction memory the final step
-        starts from), and the record of (load, Newton iterations).
+        The loaded layer, and the record of (load, Newton iterations).
 
     Raises
     ------
@@ -78,11 +76,11 @@ def follow(
     """
     control = control or StepControl()
     state = before = start
-    step = control.first if start.load == 0 else control.largest
+    step = control.first
     record: list[tuple[float, int]] = []
-    while state.load < target:
-        steps = np.ceil((target - state.load) / step - 1e-9)  # equal ones, not a small last one
-        load = target if steps == 1 else state.load + (target - state.load) / steps
+    while state.load < 1.0:
+        steps = np.ceil((1.0 - state.load) / step - 1e-9)  # equal ones, not a small last one
+        load = 1.0 if steps == 1 else state.load + (1.0 - state.load) / steps
         trial = extrapolated(state, full if before is state else before, load)
 
         def report(iteration: int, now: Balance, krylov: int, load: float = load) -> None:
@@ -99,7 +97,7 @@ def follow(
         record.append((load, iterations))
         if iterations <= control.easy:
             step = min(control.largest, 1.5 * step)
-        if load < target:
+        if load < 1.0:
             remember_slip(problem, trial)
         before, state = state, trial
-    return state, before, record
+    return state, record

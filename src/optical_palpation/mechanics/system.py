@@ -96,8 +96,13 @@ def assemble(
     gamma: float,
     dtype: type[np.floating],
     storage: NDArray[np.floating] | None = None,
+    damping: float = 0.0,
 ) -> NewtonSystem:
-    """Assemble the Newton system at ``state``; ``storage`` is reused for the stencil if given."""
+    """Assemble the Newton system at ``state``.
+
+    ``storage`` is reused for the stencil if given. ``damping``, kPa / mm^2, is a resistance of each
+    volume to being displaced by the step, in the tangent alone.
+    """
     grid = problem.grid
     nz1, ny1, nx1 = grid.node_shape
     stencil = np.empty((nz1, ny1, 27, 9, nx1), dtype) if storage is None else storage
@@ -113,6 +118,9 @@ def assemble(
         stencil,
         divergence,
     )
+    if damping > 0:
+        for c in (0, 4, 8):
+            stencil[:, :, 13, c] += damping * grid.node_volumes
     _to_contact_frame(stencil, contact.row, contact.column, contact.turning)
     # A trace of lateral stiffness in the tangent alone takes the rigid motions out of a layer
     # that nothing holds sideways; it does not enter the residual.

@@ -40,7 +40,7 @@ Edges = Literal["free", "roller", "padded"]
 PADDING = 3.0
 #: Width of the outermost elements of a free side, in thicknesses of the layer: what the stress-free
 #: side does to the layer's total force is resolved to about 1 %.
-EDGE = 1 / 16
+EDGE = 0.04
 #: More elements than any machine holds; their layout alone would take minutes.
 MOST_ELEMENTS = 1e8
 #: A node slips where friction has reached this share of its bound.
@@ -283,7 +283,7 @@ def _problem(
     if smoothing > 0:
         imprint = imprint.smoothed(smoothing)
     depth = node_positions(1.0, sizes[2] / thickness)
-    edge = max(EDGE, 0.25 * depth[1]) * thickness if edges == "free" else None
+    edge = max(EDGE, 0.15 * depth[1]) * thickness if edges == "free" else None
     nodes_x = node_positions(x1 - x0, sizes[0], x0, edge=edge)
     nodes_y = node_positions(y1 - y0, sizes[1], y0, edge=edge)
     if edges == "padded":
