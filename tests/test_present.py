@@ -223,6 +223,17 @@ def test_vtk_holds_the_deformed_layer(tmp_path):
     assert json.loads(arrays["provenance"])["window_force_mN"] == 120.25
 
 
+def test_vtk_holds_the_stiffness_of_each_element(tmp_path):
+    result = example()
+    cells = ("cell_z", "cell_y", "cell_x")
+    shape = [result.layer.sizes[c] for c in cells]
+    factor = np.arange(np.prod(shape), dtype=float).reshape(shape)
+    layer = result.layer.assign(stiffness=(cells[::-1], factor.T))
+    write_vtk(StressResult(result.maps, layer), tmp_path / "out.vts")
+    _, arrays = vts_arrays(tmp_path / "out.vts")
+    np.testing.assert_array_equal(arrays["stiffness"][:, 0], factor.ravel())
+
+
 def test_vtk_needs_a_layer(tmp_path):
     with pytest.raises(InputError, match="computational"):
         write_vtk(algebraic_example(), tmp_path / "out.vts")

@@ -25,7 +25,7 @@ def write_vtk(result: StressResult, path: str | Path) -> None:
     Points are the deformed positions in mm, z = 0 at the window. Point data: ``displacement_mm``
     and, on the two faces of the layer, ``traction_kPa`` (NaN inside) and ``contact_state``
     (0 open, 1 slip, 2 stick, -1 inside). Cell data: ``cauchy_stress_kPa`` as a full tensor, tension
-    positive. Software, version and all parameters are in the field data as JSON.
+    positive, and ``stiffness`` where the body has one of its own in each element. Software, version and all parameters are in the field data as JSON.
 
     Raises
     ------
@@ -62,6 +62,9 @@ def write_vtk(result: StressResult, path: str | Path) -> None:
     nine = stress.sel(tensor=list(_TENSOR)).values.astype("<f4")
     cell_data = ET.SubElement(piece, "CellData", Tensors="cauchy_stress_kPa")
     _add_array(cell_data, "cauchy_stress_kPa", nine)
+    if "stiffness" in layer:
+        stiffness = layer["stiffness"].transpose("cell_z", "cell_y", "cell_x")
+        _add_array(cell_data, "stiffness", stiffness.values.astype("<f4"))
 
     _add_array(ET.SubElement(piece, "Points"), "position_mm", _nodes(layer["position"]))
     with atomic(path, "ParaView file") as temporary:
