@@ -394,7 +394,11 @@ def test_flat_slab_of_independent_codes():
         element_size=0.125,
     )
     assert_allclose(solved.maps.attrs["window_force_mN"], 1068.0, rtol=0.02)
-    axial = solved.layer["displacement"].sel(component="z").interp(x=2.5, y=2.5)
+    # Averaged over the middle element: nodes that lie exactly on the line of symmetry cannot slip
+    # at all, and whether there are any depends on the number of elements.
+    middle = 2.5 + 0.125 * np.linspace(-0.5, 0.5, 11)
+    axial = solved.layer["displacement"].sel(component="z").interp(x=middle, y=middle)
+    axial = axial.mean(("x", "y"))
     profile = CubicSpline(axial.z, axial / axial[-1])(np.linspace(0, 1, 11))
     reference = [0.001, 0.043, 0.116, 0.219, 0.342, 0.467, 0.594, 0.725, 0.842, 0.933, 1]
     assert_allclose(profile, reference, atol=0.02)
