@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
+import xarray as xr
 
-from optical_palpation.experiment.demo_volumes import demo_volumes, write_volume
+from optical_palpation.experiment.demo_volumes import demo_volumes, experiment_volumes, write_volume
+from optical_palpation.thickness import find_layer
 from optical_palpation.volume import open_volume
 
 
@@ -29,3 +31,24 @@ def test_volumes_are_written_as_they_are_and_are_the_same_every_time(tmp_path):
         np.testing.assert_array_equal(opened.bscan(4), small.bscan(4))
     np.testing.assert_array_equal(volume.bscan(100), again.bscan(100))
     assert volume.bscan(100).mean() == pytest.approx(again.bscan(101).mean(), rel=0.05)
+
+
+def test_layer_of_an_experiment_is_found_again_in_its_volumes():
+    x, y = np.linspace(-0.1, 1.1, 25), np.linspace(0.0, 1.0, 21)
+    loaded = 0.4 + 0.05 * np.sin(3 * x) * np.cos(2 * y[:, None])
+    loaded[:, 0] = np.nan  # no layer here
+    maps = xr.Dataset(
+        {
+            "unloaded_thickness": (("y", "x"), np.full((21, 25), 0.5)),
+            "loaded_thickness": (("y", "x"), loaded),
+        },
+        {"x": x, "y": y},
+    )
+    volumes = experiment_volumes(maps)
+    for name, volume in volumes.items():
+        found = find_layer(volume, spacing=volume.spacing, scale="linear").thickness
+        truth = maps[f"{name}_thickness"].interp(x=found.x.values - 0.1, y=found.y.values)
+        error = (found.values - truth.values)[:, 10:]
+        assert np.sqrt(np.mean(error**2)) < 0.6 * volume.spacing[0]
+    # the border goes on where there is no layer
+    np.testing.assert_allclose(volumes["loaded"].thickness[0, 0], loaded[0, 1])

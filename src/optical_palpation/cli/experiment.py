@@ -28,12 +28,15 @@ def experiment(
         float | None,
         typer.Option(help="Lateral size of the elements, mm, instead of the scene's."),
     ] = None,
+    volumes: Annotated[
+        bool, typer.Option("--volumes", help="Also write OCT volumes: unloaded.npy, loaded.npy.")
+    ] = False,
     threads: Annotated[int | None, typer.Option(help="Number of threads.")] = None,
     quiet: Annotated[bool, typer.Option(help="Show no progress.")] = False,
 ) -> None:
     """Press a layer on a virtual sample: its thickness as OCT would see it, and the true stress.
 
-    Writes experiment.nc, experiment.png, layer.vts and sample.vts.
+    Writes experiment.nc, experiment.png, layer.vts and sample.vts, and OCT volumes if asked for.
     """
     from optical_palpation.experiment import read_scene, run_experiment
     from optical_palpation.experiment.scene import with_element_size
@@ -63,6 +66,16 @@ def experiment(
     write_experiment(result, result_file)
     write_experiment_figure(result, picture)
     write_bodies(result, layer, sample)
+    written = [result_file, picture, layer, sample]
+    if volumes:
+        from optical_palpation.experiment.demo_volumes import experiment_volumes, write_volume
+
+        for name, volume in experiment_volumes(result.maps).items():
+            written.append(output / f"{name}.npy")
+            print(f"making {written[-1]}", flush=True)
+            write_volume(volume, written[-1])
+        pixels = ", ".join(f"{1e3 * step:g}" for step in volume.spacing)
+        print(f"  stacks of B-scans, linear amplitude, pixels (z, y, x) of {pixels} um")
     maps = result.maps
     thickness, stress = maps["loaded_thickness"], maps["axial_stress"]
     print(
@@ -73,5 +86,5 @@ def experiment(
         f"{float(thickness.max()):.4f} mm\n"
         f"  true axial stress               {float(stress.min()):.3f} to "
         f"{float(stress.max()):.3f} kPa\n"
-        f"Written: {result_file}, {picture}, {layer}, {sample}"
+        f"Written: {', '.join(map(str, written))}"
     )

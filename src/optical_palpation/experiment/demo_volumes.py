@@ -1,10 +1,11 @@
-"""OCT volumes of an imaginary measurement, for trying the software without data."""
+"""OCT volumes of an imaginary measurement or a virtual experiment, for work without data."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.experiment.synthetic_oct import SyntheticOCT
@@ -42,6 +43,33 @@ def demo_volumes() -> dict[str, SyntheticOCT]:
         )
         for name, thickness, seed in (("unloaded", unloaded, 1), ("loaded", loaded, 2))
     }
+
+
+def experiment_volumes(maps: xr.Dataset) -> dict[str, SyntheticOCT]:
+    """Return the ``unloaded`` and the ``loaded`` volume of a virtual experiment.
+
+    Parameters
+    ----------
+    maps
+        ``ExperimentResult.maps``. The volumes begin at its first x and y, with the pixels of
+        :func:`demo_volumes`; beyond the layer its border goes on.
+    """
+    dz, dy, dx = _SPACING
+    axes = []
+    for name, step in (("x", dx), ("y", dy)):
+        first, last = float(maps[name][0]), float(maps[name][-1])
+        axes.append(np.minimum(np.arange(first, last + 1e-6 * step, step), last))
+    x, y = axes
+    volumes = {}
+    for seed, name in enumerate(("unloaded", "loaded"), 1):
+        field = maps[f"{name}_thickness"]
+        for axis in "xy":
+            field = field.interpolate_na(axis, method="nearest", fill_value="extrapolate")
+        thickness = field.interp(x=x, y=y).values
+        window = 0.08
+        n_depth = int(np.ceil((window + thickness.max() + 0.2) / dz))
+        volumes[name] = SyntheticOCT(thickness, _SPACING, n_depth, window_depth=window, seed=seed)
+    return volumes
 
 
 def write_volume(volume: SyntheticOCT, path: str | Path) -> None:

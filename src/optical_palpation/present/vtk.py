@@ -25,7 +25,8 @@ def write_vtk(result: StressResult, path: str | Path) -> None:
     Points are the deformed positions in mm, z = 0 at the window. Point data: ``displacement_mm``
     and, on the two faces of the layer, ``traction_kPa`` (NaN inside) and ``contact_state``
     (0 open, 1 slip, 2 stick, -1 inside). Cell data: ``cauchy_stress_kPa`` as a full tensor, tension
-    positive, and ``stiffness`` where the body has one of its own in each element. Software, version and all parameters are in the field data as JSON.
+    positive, and ``stiffness`` where each element has its own. Software, version and all parameters
+    are in the field data as JSON.
 
     Raises
     ------
