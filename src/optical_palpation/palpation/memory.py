@@ -9,6 +9,8 @@ from optical_palpation.mechanics.problem import LayerProblem
 
 #: Bytes per node at the peak of a run by multigrid: stencils, vectors of the Krylov method, states.
 _MULTIGRID = 3400.0
+#: Bytes of such a run whatever its size.
+_FIXED = 1.2e7
 #: Bytes per node of the sparse matrix on its way to the direct solver, and per node and node of
 #: the depth of its factors, which grow with the logarithm of the lateral size besides.
 _MATRIX, _FACTORS = 20000.0, 400.0
@@ -36,7 +38,7 @@ def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> 
     nodes = nz1 * ny1 * nx1
     if solver == "direct":
         return nodes * (_MATRIX + _FACTORS * nz1 * min(nx1, ny1).bit_length())
-    return nodes * _MULTIGRID
+    return nodes * _MULTIGRID + _FIXED
 
 
 def available_memory() -> float:
