@@ -15,7 +15,12 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from optical_palpation.experiment.meeting import Meeting
-from optical_palpation.mechanics.contact import direction_step, friction_direction
+from optical_palpation.mechanics.contact import (
+    direction_step,
+    friction_direction,
+    side_penalty,
+    smooth_maximum,
+)
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -122,9 +127,7 @@ class Sides:
     def force(self, position: Array) -> tuple[Array, Array]:
         """Vertical force (n), mN, and its derivative by the penetration, mN / mm."""
         c, gap = _SIDE_PENALTY * self.stiffness, _SIDE_GAP * self.height
-        z = position[self.nodes, 2]
-        near = np.clip(1 - z / gap, 0.0, 2.0)
-        return c * (0.25 * gap * near**2 + np.maximum(-z - gap, 0.0)), 0.5 * c * near
+        return side_penalty(-position[self.nodes, 2], gap, c)
 
 
 def linearise(
@@ -143,10 +146,7 @@ def linearise(
     """
     normal = state.force
     t = normal + scale * meeting.penetration
-    root = np.sqrt(t**2 + 4 * smoothing**2)
-    # of S and 1 - S' the small one of two terms is formed without cancellation
-    value = np.where(t > 0, 0.5 * (t + root), 2 * smoothing**2 / (root - t))
-    other = np.where(t > 0, 2 * smoothing**2 / (root * (root + t)), 0.5 * (1 - t / root))
+    value, other = smooth_maximum(t, smoothing)
     slope = 1 - other
     violation = normal - value
     other = np.maximum(other, 1 / _STIFFEST)

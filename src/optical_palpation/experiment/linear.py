@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, gmres, splu
+
+from optical_palpation.mechanics.direct import pardiso
 
 Array = NDArray[np.float64]
 
@@ -93,11 +93,7 @@ class _Pardiso:
     """Factors by MKL PARDISO; matrices of equal pattern share the analysis of the first."""
 
     def __init__(self, matrix: sp.csr_matrix, precision: type[np.floating]) -> None:
-        import pypardiso
-
-        # Else every new solver seeks the library of MKL in the folders of Python, for half a second
-        os.environ.setdefault("PYPARDISO_MKL_RT", pypardiso.ps.libmkl._name)
-        self._solver = pypardiso.PyPardisoSolver(mtype=11)
+        self._solver = pardiso(mtype=11)
         self._precision = precision
         # no scaling and matching, which a matrix with a strong diagonal does without
         single = int(precision is np.float32)

@@ -125,6 +125,15 @@ def direction_step(w: Array, direction: Array, dw: Array) -> Array:
     return (w + dw - 0.5 * along / q) / q - direction
 
 
+def smooth_maximum(t: Array, eps: Array) -> tuple[Array, Array]:
+    """S(t) = (t + sqrt(t^2 + 4 eps^2)) / 2, and 1 - S'(t)."""
+    root = np.sqrt(t**2 + 4 * eps**2)
+    # the small one of two terms is formed without cancellation
+    value = np.where(t > 0, 0.5 * (t + root), 2 * eps**2 / (root - t))
+    other = np.where(t > 0, 2 * eps**2 / (root * (root + t)), 0.5 * (1 - t / root))
+    return value, other
+
+
 def linearise(
     problem: LayerProblem,
     state: LayerState,
@@ -148,10 +157,7 @@ def linearise(
     c = complementarity_scale(problem)
     eps = smoothing * c * problem.grid.spacing()[0]
     t = normal + c * penetration
-    root = np.sqrt(t**2 + 4 * eps**2)
-    # of S and 1 - S' the small one of two terms is formed without cancellation
-    s_value = np.where(t > 0, 0.5 * (t + root), 2 * eps**2 / (root - t))
-    other = np.where(t > 0, 2 * eps**2 / (root * (root + t)), 0.5 * (1 - t / root))
+    s_value, other = smooth_maximum(t, eps)
     slope = 1 - other
     violation = normal - s_value
     rigid = slope > _RIGID * other
@@ -196,6 +202,13 @@ def linearise(
     )
 
 
+def side_penalty(penetration: Array, gap: Array | float, stiffness: float) -> tuple[Array, Array]:
+    """Force of a penalty that sets in smoothly at a ``gap``, mN, and its derivative, mN / mm."""
+    near = np.clip(1 + penetration / gap, 0.0, 2.0)
+    force = stiffness * (0.25 * gap * near**2 + np.maximum(penetration - gap, 0.0))
+    return force, 0.5 * stiffness * near
+
+
 def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     """Contact of the free sides with window and imprint at ``state``."""
     grid = problem.grid
@@ -209,9 +222,7 @@ def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     height = problem.imprint.evaluate(x0, y0, state.load)[0]
     gap = _SIDE_GAP * height * np.array([[grid.depth[1]], [1 - grid.depth[-2]]])
     penetration = np.stack([-z, z - h])
-    near = np.clip(1 + penetration / gap, 0.0, 2.0)
-    normal = c * (0.25 * gap * near**2 + np.maximum(penetration - gap, 0.0))
-    slope = 0.5 * c * near
+    normal, slope = side_penalty(penetration, gap, c)
     flat, one = np.zeros_like(x), np.ones_like(x)
     # gradients of the penetrations
     gradient = np.array([[flat, flat, -one], [-hx, -hy, one]])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from functools import lru_cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numba as nb
 import numpy as np
@@ -48,20 +48,26 @@ class DirectSolver:
 def sparse_solve(matrix: sp.csr_matrix, rhs: Array) -> Array:
     """Solve one sparse linear system with the best library at hand."""
     try:
-        import pypardiso
+        solver = pardiso()
     except ImportError:
         return splu(
             matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
         ).solve(rhs)
-    # Else every new solver seeks the library of MKL in the folders of Python, for half a second.
-    os.environ.setdefault("PYPARDISO_MKL_RT", pypardiso.ps.libmkl._name)
-    solver = pypardiso.PyPardisoSolver()
     try:
         # MKL is loaded only here, after the threads of the run were set
         with threadpool_limits(nb.get_num_threads(), user_api="blas"):
             return solver.solve(matrix, rhs)
     finally:
         solver.free_memory(everything=True)
+
+
+def pardiso(**options: Any) -> Any:
+    """Return a new solver of MKL PARDISO; ImportError where that is not installed."""
+    import pypardiso
+
+    # Else every new solver seeks the library of MKL in the folders of Python, for half a second.
+    os.environ.setdefault("PYPARDISO_MKL_RT", pypardiso.ps.libmkl._name)
+    return pypardiso.PyPardisoSolver(**options)
 
 
 def sparse_matrix(stencil: NDArray[np.floating], free: NDArray[np.bool_]) -> sp.csr_matrix:
