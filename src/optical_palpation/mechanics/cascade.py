@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .direct import DirectSolver
-from .grid import LayerGrid
+from .grid import LayerGrid, edge_width, node_positions
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .newton import Balance, LinearSolver, NotConverged, Tolerances, equilibrate
@@ -25,7 +25,7 @@ from .problem import LayerProblem, LayerState
 Array = NDArray[np.float64]
 
 #: Elements up to which a grid is the start of the cascade.
-_COARSEST = 16000
+_COARSEST = 3000
 
 
 @dataclass
@@ -55,16 +55,31 @@ def coarsened(problem: LayerProblem) -> LayerProblem | None:
     if grid.n_elements <= _COARSEST or min(nx, ny) < 12:
         return None
     sizes = grid.spacing()
-    halve = [size < 1.6 * min(sizes) for size in sizes]
-    k, j, i = (
-        coarse_nodes(count, half and count > smallest)
-        for count, half, smallest in zip((nz, ny, nx), halve, (3, 5, 5), strict=True)
+    halve = [
+        size < 1.6 * min(sizes) and count > smallest
+        for size, count, smallest in zip(sizes, grid.shape, (3, 5, 5), strict=True)
+    ]
+    depth = grid.depth[coarse_nodes(nz, halve[0])]
+    edge = edge_width(depth, float(np.median(grid.thickness)))
+    y, x = (
+        _coarse_axis(nodes, edge if problem.edges == "free" else None) if half else nodes
+        for nodes, half in zip((grid.y, grid.x), halve[1:], strict=True)
     )
-    coarse = LayerGrid(grid.x[i], grid.y[j], grid.depth[k], grid.thickness[np.ix_(j, i)])
     imprint = problem.imprint.smoothed(
-        0.5 * float(np.sqrt(coarse.spacing()[2] * coarse.spacing()[1]))
+        0.5 * float(np.sqrt(np.median(np.diff(x)) * np.median(np.diff(y))))
     )
+    unloaded = imprint.evaluate(*np.meshgrid(x, y), 0.0)[0]
+    coarse = LayerGrid(x, y, depth, unloaded)
     return problem.on_grid(coarse, imprint)
+
+
+def _coarse_axis(nodes: Array, edge: float | None) -> Array:
+    """Node positions about twice as far apart, the outermost ones no further than ``edge``."""
+    widths = np.diff(nodes)
+    size = float(np.median(widths))
+    if widths[0] > 1.01 * size:  # a padded layer is coarse where it ends
+        return nodes[coarse_nodes(len(widths), True)]
+    return node_positions(float(nodes[-1] - nodes[0]), 2 * size, float(nodes[0]), edge=edge)
 
 
 def prolong(state: LayerState, coarse: LayerProblem, fine: LayerProblem) -> LayerState:
@@ -78,7 +93,7 @@ def prolong(state: LayerState, coarse: LayerProblem, fine: LayerProblem) -> Laye
         slip=target.interpolate_from(source, state.slip),
         anchor=target.interpolate_from(source, state.anchor),
         anchor_load=state.anchor_load,
-        normal_force=target.interpolate_from(source, pressure)
+        normal_force=np.maximum(target.interpolate_from(source, pressure), 0.0)
         * target.surface_areas(target.nodes[:, -1]),
     )
 
@@ -118,12 +133,13 @@ def solve(
     for n in reversed(range(len(levels))):
         level = levels[n]
         linear = make_solver(level, solver)
+        wanted = tolerances if n == 0 else tolerances.loosened()
         report = partial(on_iteration, level) if on_iteration else None
         if state is not None:
             state = prolong(state, levels[n + 1], level)
             try:
                 count = equilibrate(
-                    level, state, linear, tolerances, partial(report, 1.0) if report else None
+                    level, state, linear, wanted, partial(report, 1.0) if report else None
                 )
                 record.append((level.grid.n_elements, 1.0, count))
             except NotConverged:
@@ -131,7 +147,7 @@ def solve(
         if state is None:
             rest = LayerState.unloaded(level.grid)
             full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
-            state, steps = follow(level, linear, tolerances, rest, full, control, report)
+            state, steps = follow(level, linear, wanted, rest, full, control, report)
             record += [(level.grid.n_elements, *step) for step in steps]
     assert state is not None  # there is at least one level
     return Solution(problem, state, record)

@@ -32,7 +32,8 @@ pressure well above the shear modulus drives the nodes sideways.
 A free side bulges and, under a large compression, rolls onto the window and the imprint. The nodes
 of the sides therefore meet both surfaces too, with a penalty and no friction. It sets in smoothly,
 before they touch: the band that rolls over is an element or two wide and carries little, but how it
-begins to carry decides whether Newton's method gets past it.
+begins to carry decides whether Newton's method gets past it. For the same reason eps is larger on
+the window's ``LayerGrid.rim``.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from .problem import SAMPLE, LayerProblem, LayerState
+from .grid import RIM
+from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 
 Array = NDArray[np.float64]
 
@@ -56,6 +58,13 @@ _RIGID = 1e3
 #: share of the height that the outermost element would have if the layer were pressed evenly. Nodes
 #: that are caught only where they touch snap down one after the other along the edge.
 _SIDE_PENALTY, _SIDE_GAP = 12.0, 0.75
+#: Height, in thicknesses, of the band next to each surface that the penalty keeps from folding
+#: however fine the elements.
+_SIDE_BAND = 0.1
+#: Pressure times gap within which the window bears the rim of a free-edged layer, in shear moduli
+#: times thicknesses: on fine grids the rim lifts off the window node by node, each with a snap.
+#: Where elements are higher than the rim is wide they do not lift, and nothing is smoothed.
+_RIM_SMOOTHING = 0.01
 
 
 @dataclass(frozen=True)
@@ -155,7 +164,13 @@ def linearise(
     reaction = np.stack([force[2, 0], -force[2, -1]])
 
     c = complementarity_scale(problem)
-    eps = smoothing * c * problem.grid.spacing()[0]
+    eps = np.broadcast_to(smoothing * c * problem.grid.spacing()[0], (2, *c.shape)).copy()
+    if problem.edges == "free":
+        # with the load, so that the unloaded layer is free of stress
+        size = float(problem.grid.depth[1])
+        finer = np.clip((RIM - size) / (0.5 * RIM), 0.0, 1.0)
+        rim = state.load * finer * np.sqrt(_RIM_SMOOTHING / size)
+        eps[WINDOW][problem.grid.rim] *= max(1.0, rim / smoothing)
     t = normal + c * penetration
     s_value, other = smooth_maximum(t, eps)
     slope = 1 - other
@@ -202,7 +217,9 @@ def linearise(
     )
 
 
-def side_penalty(penetration: Array, gap: Array | float, stiffness: float) -> tuple[Array, Array]:
+def side_penalty(
+    penetration: Array, gap: Array | float, stiffness: Array | float
+) -> tuple[Array, Array]:
     """Force of a penalty that sets in smoothly at a ``gap``, mN, and its derivative, mN / mm."""
     near = np.clip(1 + penetration / gap, 0.0, 2.0)
     force = stiffness * (0.25 * gap * near**2 + np.maximum(penetration - gap, 0.0))
@@ -217,10 +234,14 @@ def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     x, y, z = (grid.nodes[c][nodes][:count] + state.u[c][nodes][:count] for c in range(3))
     h, hx, hy, hxx, hxy, hyy = problem.imprint.evaluate(x, y, state.load)
     _, dy, dx = grid.spacing()
-    c = _SIDE_PENALTY * problem.shear_modulus * 0.5 * (dx + dy)  # pressure x area of a node / dz
+    above = grid.depth[nodes[0][:count]]
+    first = np.array([[grid.depth[1]], [1 - grid.depth[-2]]])
+    band = np.minimum(np.stack([above, 1 - above]), np.maximum(first, _SIDE_BAND))
+    # pressure x area of a node / the height that it keeps free
+    c = _SIDE_PENALTY * problem.shear_modulus * 0.5 * (dx + dy) * first / band
     x0, y0 = (grid.nodes[n][nodes][:count] for n in range(2))
     height = problem.imprint.evaluate(x0, y0, state.load)[0]
-    gap = _SIDE_GAP * height * np.array([[grid.depth[1]], [1 - grid.depth[-2]]])
+    gap = _SIDE_GAP * height * band
     penetration = np.stack([-z, z - h])
     normal, slope = side_penalty(penetration, gap, c)
     flat, one = np.zeros_like(x), np.ones_like(x)

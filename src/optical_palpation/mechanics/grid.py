@@ -7,9 +7,16 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import Akima1DInterpolator
 from scipy.ndimage import map_coordinates
 
 Array = NDArray[np.float64]
+
+#: Width of the outermost elements of a free side, in thicknesses of the layer: what the stress-free
+#: side does to the layer's total force is resolved to about 1 %.
+EDGE = 0.04
+#: Width of the rim of a layer, in thicknesses.
+RIM = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +48,11 @@ class LayerGrid:
     def node_shape(self) -> tuple[int, int, int]:
         """Numbers of nodes (nz + 1, ny + 1, nx + 1)."""
         return len(self.depth), len(self.y), len(self.x)
+
+    @property
+    def node_axes(self) -> tuple[Array, Array, Array]:
+        """Node positions along the axes (depth, y, x)."""
+        return self.depth, self.y, self.x
 
     @property
     def n_elements(self) -> int:
@@ -77,6 +89,16 @@ class LayerGrid:
         k = np.arange(1, nz1 - 1)
         return np.repeat(k, j.size), np.tile(j, k.size), np.tile(i, k.size)
 
+    @cached_property
+    def rim(self) -> NDArray[np.bool_]:
+        """Which lateral nodes lie within ``RIM`` thicknesses of a side, (ny + 1, nx + 1)."""
+        y, x = (
+            np.minimum(nodes - nodes[0], nodes[-1] - nodes)
+            <= RIM * (1 + 1e-6) * np.median(self.thickness)
+            for nodes in (self.y, self.x)
+        )
+        return y[:, None] | x
+
     def spacing(self) -> tuple[float, float, float]:
         """Typical (median) element sizes (z, y, x), mm."""
         return (
@@ -86,25 +108,20 @@ class LayerGrid:
         )
 
     def interpolate_from(self, other: LayerGrid, field: Array) -> Array:
-        """Trilinear interpolation of a node field of another grid of the same layer.
+        """Smooth (Akima) interpolation of a node field of another grid of the same layer.
 
         ``field`` has trailing axes ``(y, x)`` or ``(z, y, x)`` of ``other``; leading axes are kept.
+        The kinks of a linear interpolation are strains that neither grid has.
         """
-        axes_from = [other.depth, other.y, other.x]
-        axes_to = [self.depth, self.y, self.x]
-        trailing = 3 if field.shape[-3:] == other.node_shape else 2
-        out = field
-        for offset in range(trailing):
-            axis = field.ndim - trailing + offset
-            coarse = axes_from[3 - trailing + offset]
-            fine = axes_to[3 - trailing + offset]
-            index = np.clip(np.searchsorted(coarse, fine, side="right") - 1, 0, len(coarse) - 2)
-            weight = np.clip((fine - coarse[index]) / np.diff(coarse)[index], 0.0, 1.0)
-            shape = [1] * out.ndim
-            shape[axis] = -1
-            weight = weight.reshape(shape)
-            out = out.take(index, axis) * (1 - weight) + out.take(index + 1, axis) * weight
-        return out
+        pairs = list(zip((other.depth, other.y, other.x), self.node_axes, strict=True))
+        if field.shape[-3:] != other.node_shape:
+            pairs = pairs[1:]
+        for axis, (coarse, fine) in enumerate(pairs, start=field.ndim - len(pairs)):
+            if not np.array_equal(coarse, fine):
+                field = Akima1DInterpolator(coarse, field, axis=axis, method="makima")(
+                    np.clip(fine, coarse[0], coarse[-1])
+                )
+        return np.ascontiguousarray(field)
 
     def interpolate_cells_from(self, other: LayerGrid, field: Array) -> Array:
         """Linear interpolation of an element field (nz, ny, nx) between element centres."""
@@ -141,12 +158,17 @@ def node_positions(
     widths double inwards until they reach ``size``.
     """
     widths: list[float] = []
-    while edge is not None and edge * 2 ** len(widths) < 0.75 * size:
+    while edge is not None and edge * 2 ** len(widths) < (0.75 if widths else 0.95) * size:
         widths.append(edge * 2 ** len(widths))
     inner = length - 2 * sum(widths)
     count = max(1, round(inner / size))
     widths += [inner / count] * count + widths[::-1]
     return origin + np.concatenate([[0.0], np.cumsum(widths)]) * length / sum(widths)
+
+
+def edge_width(depth: Array, thickness: float) -> float:
+    """Width of the outermost elements of a free side, mm; as flat as 1 : 6.7 at the most."""
+    return max(EDGE, 0.15 * float(depth[1])) * thickness
 
 
 def graded_depths(count: int, grading: float = 1.0) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -33,6 +33,10 @@ class LinearSolver(Protocol):
         """Return the step (du in contact coordinates, dp) and the number of iterations."""
         ...
 
+    def longest(self, tolerance: float) -> int:
+        """Return the number of iterations after which ``solve`` gives up the ``tolerance``."""
+        ...
+
 
 @dataclass(frozen=True)
 class Tolerances:
@@ -58,6 +62,14 @@ class Tolerances:
     acceptable: float = 10.0
     linear: float = 1e-2
 
+    def loosened(self) -> Tolerances:
+        """Return those of an equilibrium from which the next is only begun."""
+        return replace(self, force=_ON_THE_WAY * self.force, volume=_ON_THE_WAY * self.volume)
+
+
+#: How much further from balance an equilibrium on the way may be, a smaller load or a coarser grid.
+_ON_THE_WAY = 10.0
+
 
 #: Smoothing of contact, as a pressure in units of the shear modulus: at first, and in the end.
 _SMOOTHING = (3e-3, 1e-3)
@@ -70,6 +82,8 @@ _STAGNATION = 12
 #: Least damping of a step that otherwise fails, in shear moduli per thickness squared, and how
 #: often a step is tried.
 _DAMPING, _ATTEMPTS = 30.0, 6
+#: Damping, in least ones, of a step whose linear system is hard: near a snap it is nearly singular.
+_FIRM = 10.0
 
 
 #: Share of its smallest volume ratio that the layer must keep in a step.
@@ -247,6 +261,9 @@ def equilibrate(
             storage = system.stencil
             du, dp, count = solver.solve(system, linear)
             krylov += count
+            if count == solver.longest(linear) and damping < _FIRM * least:
+                damping = _FIRM * least
+                continue
             if not (np.isfinite(du).all() and np.isfinite(dp).all()):
                 raise NotConverged("the linear system could not be solved")
             # The first step crosses the new load and a damped one a snap: both may leave more out

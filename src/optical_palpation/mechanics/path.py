@@ -88,7 +88,8 @@ def follow(
                 on_iteration(load, iteration, now, krylov)
 
         try:
-            iterations = equilibrate(problem, trial, solver, tolerances, report)
+            wanted = tolerances if load == 1.0 else tolerances.loosened()
+            iterations = equilibrate(problem, trial, solver, wanted, report)
         except NotConverged as failure:
             step = 0.5 * (load - state.load)
             if step < control.smallest:

@@ -21,7 +21,7 @@ from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
 from optical_palpation.mechanics.contact import area_vectors, friction_fraction, side_contact
 from optical_palpation.mechanics.elements import GRADIENTS, element_stress
-from optical_palpation.mechanics.grid import LayerGrid, node_positions
+from optical_palpation.mechanics.grid import LayerGrid, edge_width, node_positions
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import balance
 from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem
@@ -38,9 +38,6 @@ Edges = Literal["free", "roller", "padded"]
 
 #: Width, in thicknesses, by which ``padded`` edges continue the layer past the field of view.
 PADDING = 3.0
-#: Width of the outermost elements of a free side, in thicknesses of the layer: what the stress-free
-#: side does to the layer's total force is resolved to about 1 %.
-EDGE = 0.04
 #: More elements than any machine holds; their layout alone would take minutes.
 MOST_ELEMENTS = 1e8
 #: A node slips where friction has reached this share of its bound.
@@ -283,7 +280,7 @@ def _problem(
     if smoothing > 0:
         imprint = imprint.smoothed(smoothing)
     depth = node_positions(1.0, sizes[2] / thickness)
-    edge = max(EDGE, 0.15 * depth[1]) * thickness if edges == "free" else None
+    edge = edge_width(depth, thickness) if edges == "free" else None
     nodes_x = node_positions(x1 - x0, sizes[0], x0, edge=edge)
     nodes_y = node_positions(y1 - y0, sizes[1], y0, edge=edge)
     if edges == "padded":
