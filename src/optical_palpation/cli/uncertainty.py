@@ -75,7 +75,6 @@ def uncertainty(
     present.check_outputs({k: path for k, path in wanted.items() if path is not None}, [file])
     with ProgressDisplay(quiet) as progress:
         done = study.run_study(asked, progress=progress)
-        nominal = present.read_result(done.folder / "stress.nc")
         measured = xr.load_dataset(done.folder / "thickness.nc", engine="h5netcdf")
         loaded = measured["loaded_thickness"]
         noise = None
@@ -93,7 +92,6 @@ def uncertainty(
             modulus_error=modulus,
             thickness_error=thickness,
             thickness_noise=noise,
-            nominal=nominal,
             progress=progress,
             sample_motion=sample_motion(asked, loaded),
             **asked.grid.model_dump(),

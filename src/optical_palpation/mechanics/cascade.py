@@ -104,6 +104,7 @@ def solve(
     *,
     solver: str = "multigrid",
     cascade: bool = True,
+    start: LayerState | None = None,
     tolerances: Tolerances | None = None,
     control: StepControl | None = None,
     on_iteration: Callable[[LayerProblem, float, int, Balance, int], None] | None = None,
@@ -118,6 +119,8 @@ def solve(
         ``multigrid`` or ``direct``.
     cascade
         Follow the load path on a coarse grid first (else on the grid itself).
+    start
+        Fully loaded state of a similar problem on the same grid, to begin with.
 
     Raises
     ------
@@ -129,24 +132,35 @@ def solve(
     while cascade and (coarser := coarsened(levels[-1])) is not None:
         levels.append(coarser)
     record: list[tuple[int, float, int]] = []
-    state: LayerState | None = None
+
+    def balanced(level: LayerProblem, state: LayerState) -> LayerState | None:
+        """Bring a state near full load into equilibrium; None where it is too far away."""
+        try:
+            count = equilibrate(
+                level,
+                state,
+                make_solver(level, solver),
+                tolerances if level is problem else tolerances.loosened(),
+                partial(on_iteration, level, 1.0) if on_iteration else None,
+            )
+        except NotConverged:
+            return None
+        record.append((level.grid.n_elements, 1.0, count))
+        return state
+
+    state = balanced(problem, start.copy()) if start is not None else None
+    if state is not None:
+        return Solution(problem, state, record)
     for n in reversed(range(len(levels))):
         level = levels[n]
-        linear = make_solver(level, solver)
-        wanted = tolerances if n == 0 else tolerances.loosened()
-        report = partial(on_iteration, level) if on_iteration else None
         if state is not None:
-            state = prolong(state, levels[n + 1], level)
-            try:
-                count = equilibrate(
-                    level, state, linear, wanted, partial(report, 1.0) if report else None
-                )
-                record.append((level.grid.n_elements, 1.0, count))
-            except NotConverged:
-                state = None  # too far away: the load is followed on this grid
-        if state is None:
+            state = balanced(level, prolong(state, levels[n + 1], level))
+        if state is None:  # the load is followed on this grid
             rest = LayerState.unloaded(level.grid)
             full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
+            wanted = tolerances if level is problem else tolerances.loosened()
+            report = partial(on_iteration, level) if on_iteration else None
+            linear = make_solver(level, solver)
             state, steps = follow(level, linear, wanted, rest, full, control, report)
             record += [(level.grid.n_elements, *step) for step in steps]
     assert state is not None  # there is at least one level

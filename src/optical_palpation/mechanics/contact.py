@@ -32,8 +32,9 @@ pressure well above the shear modulus drives the nodes sideways.
 A free side bulges and, under a large compression, rolls onto the window and the imprint. The nodes
 of the sides therefore meet both surfaces too, with a penalty and no friction. It sets in smoothly,
 before they touch: the band that rolls over is an element or two wide and carries little, but how it
-begins to carry decides whether Newton's method gets past it. For the same reason eps is larger on
-the window's ``LayerGrid.rim``.
+begins to carry decides whether Newton's method gets past it. For the same reason eps is larger
+at the window within ``LayerGrid.rim`` where the mesh is fine: the rim lifts off the window node by
+node, each with a snap.
 """
 
 from __future__ import annotations
@@ -44,7 +45,6 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from .grid import RIM
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 
 Array = NDArray[np.float64]
@@ -61,10 +61,6 @@ _SIDE_PENALTY, _SIDE_GAP = 12.0, 0.75
 #: Height, in thicknesses, of the band next to each surface that the penalty keeps from folding
 #: however fine the elements.
 _SIDE_BAND = 0.1
-#: Pressure times gap within which the window bears the rim of a free-edged layer, in shear moduli
-#: times thicknesses: on fine grids the rim lifts off the window node by node, each with a snap.
-#: Where elements are higher than the rim is wide they do not lift, and nothing is smoothed.
-_RIM_SMOOTHING = 0.01
 
 
 @dataclass(frozen=True)
@@ -165,12 +161,8 @@ def linearise(
 
     c = complementarity_scale(problem)
     eps = np.broadcast_to(smoothing * c * problem.grid.spacing()[0], (2, *c.shape)).copy()
-    if problem.edges == "free":
-        # with the load, so that the unloaded layer is free of stress
-        size = float(problem.grid.depth[1])
-        finer = np.clip((RIM - size) / (0.5 * RIM), 0.0, 1.0)
-        rim = state.load * finer * np.sqrt(_RIM_SMOOTHING / size)
-        eps[WINDOW][problem.grid.rim] *= max(1.0, rim / smoothing)
+    # with the load, so that the unloaded layer is free of stress
+    eps[WINDOW][problem.grid.rim] *= max(1.0, state.load * problem.rim_smoothing / smoothing)
     t = normal + c * penetration
     s_value, other = smooth_maximum(t, eps)
     slope = 1 - other

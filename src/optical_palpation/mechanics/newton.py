@@ -280,7 +280,8 @@ def equilibrate(
         linear = (
             tolerances.linear if fraction == 1.0 else max(0.1 * linear, 1e-3 * tolerances.linear)
         )
-        damping *= 0.5 * min(1.0, after.force_error / now.force_error)
+        change = after.force_error / now.force_error
+        damping *= 0.5 * change if change < 1 else 2.0
         if damping < 0.1 * least:
             damping = 0.0
         now = after

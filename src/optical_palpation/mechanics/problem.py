@@ -35,6 +35,9 @@ class LayerProblem:
         ``free`` sides carry no stress; ``roller`` sides have no normal displacement.
     slip_length
         Slip, mm, over which friction builds up (the smoothing of Coulomb's law).
+    rim_smoothing
+        Smoothing of contact at the window within ``LayerGrid.rim``, at full load, as a pressure in
+        units of the shear modulus.
     """
 
     grid: LayerGrid
@@ -45,6 +48,7 @@ class LayerProblem:
     friction: tuple[float, float]
     edges: Literal["free", "roller"] = "free"
     slip_length: float = 1e-3
+    rim_smoothing: float = 0.0
 
     @property
     def shear_modulus(self) -> float:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import xarray as xr
 
-from optical_palpation.mechanics.problem import LayerProblem
+from optical_palpation.mechanics.problem import LayerProblem, LayerState
 
 
 class ContactState(IntEnum):
@@ -43,8 +43,12 @@ class StressResult:
     problem
         The boundary-value problem that was solved, for export to other codes; ``None`` for the
         algebraic method and for results read from a file.
+    state
+        The state of that problem at full load, from which solving a similar one may start; likewise
+        ``None``.
     """
 
     maps: xr.Dataset
     layer: xr.Dataset | None = None
     problem: LayerProblem | None = None
+    state: LayerState | None = field(default=None, repr=False)
