@@ -21,6 +21,7 @@ from .multigrid import coarse_nodes
 from .newton import Balance, LinearSolver, NotConverged, Tolerances, equilibrate
 from .path import LoadNotReached, StepControl, follow
 from .problem import LayerProblem, LayerState
+from .stencil import threads_for
 
 Array = NDArray[np.float64]
 
@@ -135,14 +136,11 @@ def solve(
 
     def balanced(level: LayerProblem, state: LayerState) -> LayerState | None:
         """Bring a state near full load into equilibrium; None where it is too far away."""
+        wanted = tolerances if level is problem else tolerances.loosened()
+        report = partial(on_iteration, level, 1.0) if on_iteration else None
         try:
-            count = equilibrate(
-                level,
-                state,
-                make_solver(level, solver),
-                tolerances if level is problem else tolerances.loosened(),
-                partial(on_iteration, level, 1.0) if on_iteration else None,
-            )
+            with threads_for(level.grid.node_shape):
+                count = equilibrate(level, state, make_solver(level, solver), wanted, report)
         except NotConverged:
             return None
         record.append((level.grid.n_elements, 1.0, count))
@@ -161,7 +159,8 @@ def solve(
             wanted = tolerances if level is problem else tolerances.loosened()
             report = partial(on_iteration, level) if on_iteration else None
             linear = make_solver(level, solver)
-            state, steps = follow(level, linear, wanted, rest, full, control, report)
+            with threads_for(level.grid.node_shape):
+                state, steps = follow(level, linear, wanted, rest, full, control, report)
             record += [(level.grid.n_elements, *step) for step in steps]
     assert state is not None  # there is at least one level
     return Solution(problem, state, record)

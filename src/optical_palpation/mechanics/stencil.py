@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Nodes that make it worth while to wake one more thread.
-_NODES_PER_THREAD = 2000
+_NODES_PER_THREAD = 4000
 _fast = {"nsz", "arcp", "contract", "reassoc"}
 
 
