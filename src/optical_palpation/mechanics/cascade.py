@@ -18,7 +18,7 @@ from .direct import DirectSolver
 from .grid import LayerGrid, edge_width, node_positions
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
-from .newton import Balance, LinearSolver, NotConverged, Tolerances, equilibrate
+from .newton import Balance, LinearSolver, NotConverged, Tolerances, equilibrate, on_the_way
 from .path import LoadNotReached, StepControl, follow
 from .problem import LayerProblem, LayerState
 from .stencil import threads_for
@@ -136,7 +136,7 @@ def solve(
 
     def balanced(level: LayerProblem, state: LayerState) -> LayerState | None:
         """Bring a state near full load into equilibrium; None where it is too far away."""
-        wanted = tolerances if level is problem else tolerances.loosened()
+        wanted = tolerances if level is problem else on_the_way(tolerances, level)
         report = partial(on_iteration, level, 1.0) if on_iteration else None
         try:
             with threads_for(level.grid.node_shape):
@@ -156,7 +156,7 @@ def solve(
         if state is None:  # the load is followed on this grid
             rest = LayerState.unloaded(level.grid)
             full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
-            wanted = tolerances if level is problem else tolerances.loosened()
+            wanted = tolerances if level is problem else on_the_way(tolerances, level)
             report = partial(on_iteration, level) if on_iteration else None
             linear = make_solver(level, solver)
             with threads_for(level.grid.node_shape):

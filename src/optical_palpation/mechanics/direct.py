@@ -30,10 +30,6 @@ class DirectSolver:
         #: Penalty that condenses the pressure exactly.
         self.gamma = bulk_modulus
 
-    def longest(self, tolerance: float) -> int:
-        """Return more than the one iteration that there is."""
-        return 2
-
     def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Array, Array, int]:
         """Return the step (du in contact coordinates, dp) and 1, the number of solves.
 

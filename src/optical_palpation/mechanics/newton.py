@@ -33,10 +33,6 @@ class LinearSolver(Protocol):
         """Return the step (du in contact coordinates, dp) and the number of iterations."""
         ...
 
-    def longest(self, tolerance: float) -> int:
-        """Return the number of iterations after which ``solve`` gives up the ``tolerance``."""
-        ...
-
 
 @dataclass(frozen=True)
 class Tolerances:
@@ -62,13 +58,24 @@ class Tolerances:
     acceptable: float = 10.0
     linear: float = 1e-2
 
-    def loosened(self) -> Tolerances:
-        """Return those of an equilibrium from which the next is only begun."""
-        return replace(self, force=_ON_THE_WAY * self.force, volume=_ON_THE_WAY * self.volume)
-
 
 #: How much further from balance an equilibrium on the way may be, a smaller load or a coarser grid.
 _ON_THE_WAY = 10.0
+
+
+def on_the_way(tolerances: Tolerances, problem: LayerProblem) -> Tolerances:
+    """Return the tolerances of an equilibrium from which the next is only begun.
+
+    Contact forces of a layer with nowhere to go are those of its bulk modulus: as a share of them,
+    what shears it is small, and nothing can be given away.
+    """
+    if problem.edges == "roller":
+        return tolerances
+    return replace(
+        tolerances,
+        force=_ON_THE_WAY * tolerances.force,
+        volume=_ON_THE_WAY * tolerances.volume,
+    )
 
 
 #: Smoothing of contact, as a pressure in units of the shear modulus: at first, and in the end.
@@ -82,8 +89,9 @@ _STAGNATION = 12
 #: Least damping of a step that otherwise fails, in shear moduli per thickness squared, and how
 #: often a step is tried.
 _DAMPING, _ATTEMPTS = 30.0, 6
-#: Damping, in least ones, of a step whose linear system is hard: near a snap it is nearly singular.
-_FIRM = 10.0
+#: A linear system of free edges that takes more iterations is nearly singular, as near a snap, and
+#: the step is repeated with so many times the least damping.
+_HARD, _FIRM = 15, 10.0
 
 
 #: Share of its smallest volume ratio that the layer must keep in a step.
@@ -261,7 +269,7 @@ def equilibrate(
             storage = system.stencil
             du, dp, count = solver.solve(system, linear)
             krylov += count
-            if count == solver.longest(linear) and damping < _FIRM * least:
+            if count > _HARD and problem.edges == "free" and damping < _FIRM * least:
                 damping = _FIRM * least
                 continue
             if not (np.isfinite(du).all() and np.isfinite(dp).all()):

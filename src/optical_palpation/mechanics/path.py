@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .contact import remember_slip
-from .newton import Balance, LinearSolver, NotConverged, Tolerances, equilibrate
+from .newton import Balance, LinearSolver, NotConverged, Tolerances, equilibrate, on_the_way
 from .problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
@@ -88,7 +88,7 @@ def follow(
                 on_iteration(load, iteration, now, krylov)
 
         try:
-            wanted = tolerances if load == 1.0 else tolerances.loosened()
+            wanted = tolerances if load == 1.0 else on_the_way(tolerances, problem)
             iterations = equilibrate(problem, trial, solver, wanted, report)
         except NotConverged as failure:
             step = 0.5 * (load - state.load)
