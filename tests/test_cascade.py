@@ -1,0 +1,112 @@
+"""From grid to grid, and from one solution to a similar one."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from optical_palpation.errors import InputError
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics.grid import LayerGrid, graded_depths, node_positions
+from optical_palpation.palpation import StressResult, computational_stress
+
+GEL = MooneyRivlin(c10=2.23, c01=0.703)
+
+
+def grid(count, depth, grading, edge):
+    nodes = node_positions(2.0, 2.0 / count, edge=edge)
+    thickness = np.full((len(nodes), len(nodes)), 0.5)
+    return LayerGrid(nodes, nodes, graded_depths(depth, grading), thickness)
+
+
+@given(
+    counts=st.tuples(st.integers(5, 9), st.integers(8, 20)),
+    depths=st.tuples(st.integers(2, 4), st.integers(3, 9)),
+    slopes=st.tuples(*[st.floats(-1, 1) for _ in range(3)]),
+)
+@settings(max_examples=30, deadline=None)
+def test_interpolation_keeps_a_homogeneous_deformation(counts, depths, slopes):
+    coarse, fine = grid(counts[0], depths[0], 1.2, 0.02), grid(counts[1], depths[1], 1.0, 0.05)
+
+    def field(of):
+        return sum(s * x for s, x in zip(slopes, of.nodes, strict=True))
+
+    assert_allclose(fine.interpolate_from(coarse, field(coarse)), field(fine), atol=1e-12)
+
+
+def test_interpolation_is_smoother_than_straight_lines():
+    coarse, fine = grid(12, 3, 1.0, None), grid(48, 3, 1.0, None)
+
+    def field(of):
+        return np.sin(3 * of.nodes[0]) * of.nodes[2]
+
+    inside = slice(8, -8)  # four-point differences are one-sided at the ends
+    error = (fine.interpolate_from(coarse, field(coarse)) - field(fine))[:, inside, inside]
+    straight = [np.interp(fine.x, coarse.x, line) for line in field(coarse)[:, 0]]
+    kinked = (np.array(straight) - field(fine)[:, 0])[:, inside]
+    assert np.abs(error).max() < 0.3 * np.abs(kinked).max()
+
+
+@pytest.fixture(scope="module")
+def bump():
+    x = np.linspace(0, 1.5, 41)
+    height = 0.44 - 0.05 * np.exp(-((x - 0.8) ** 2 + (x[:, None] - 0.7) ** 2) / 0.1)
+    return xr.DataArray(height, {"y": x, "x": x}, ("y", "x"), attrs={"units": "mm"})
+
+
+def press(loaded, material=GEL, element_size=0.125, window_friction=0.2, **options):
+    return computational_stress(
+        loaded,
+        0.5,
+        material,
+        window_friction=window_friction,
+        sample_friction=0.1,
+        element_size=element_size,
+        **options,
+    )
+
+
+def force(result):
+    return result.maps.attrs["sample_force_mN"]
+
+
+@pytest.fixture(scope="module")
+def solved(bump):
+    return press(bump)
+
+
+def test_a_stiffer_layer_from_the_solution_of_a_softer_one(bump, solved):
+    # shapes and slips are the same at any modulus, so the restart must find the scaled solution
+    stiff = MooneyRivlin(GEL.c10 * 1.2, GEL.c01 * 1.2, GEL.bulk_to_shear)
+    again = press(bump, stiff, start=solved)
+    assert force(again) == pytest.approx(1.2 * force(solved), rel=1e-4)
+    assert_allclose(
+        again.maps["axial_stress"], 1.2 * solved.maps["axial_stress"], rtol=2e-3, atol=1e-3
+    )
+    assert again.maps.attrs["newton_iterations"] < 0.5 * solved.maps.attrs["newton_iterations"]
+
+
+def test_less_friction_from_the_solution(bump, solved):
+    change = [
+        force(press(bump, window_friction=0.15, start=start)) - force(solved)
+        for start in (None, solved)
+    ]
+    assert change[0] < -0.005 * force(solved)
+    assert change[1] == pytest.approx(change[0], rel=0.1)
+
+
+def test_a_start_that_does_not_fit_is_named(bump, solved):
+    with pytest.raises(InputError, match="elements"):
+        press(bump, element_size=0.1, start=solved)
+    with pytest.raises(InputError, match="holds no state"):
+        press(bump, start=StressResult(solved.maps))
+
+
+def test_elements_finer_than_the_rim_agree_with_coarser_ones(bump):
+    coarse, fine = (
+        force(press(bump, element_size=(0.05, 0.05, z), imprint_smoothing=0.03))
+        for z in (0.05, 0.025)
+    )
+    assert fine == pytest.approx(coarse, rel=0.03)
