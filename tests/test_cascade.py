@@ -9,7 +9,10 @@ from numpy.testing import assert_allclose
 
 from optical_palpation.errors import InputError
 from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics.cascade import grids
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths, node_positions
+from optical_palpation.mechanics.imprint import Imprint
+from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.palpation import StressResult, computational_stress
 
 GEL = MooneyRivlin(c10=2.23, c01=0.703)
@@ -34,6 +37,31 @@ def test_interpolation_keeps_a_homogeneous_deformation(counts, depths, slopes):
         return sum(s * x for s, x in zip(slopes, of.nodes, strict=True))
 
     assert_allclose(fine.interpolate_from(coarse, field(coarse)), field(fine), atol=1e-12)
+
+
+@given(
+    count=st.integers(12, 400),
+    depth=st.integers(1, 30),
+    field=st.floats(0.5, 20),
+    edges=st.sampled_from(["free", "roller"]),
+)
+@settings(max_examples=60, deadline=None)
+def test_every_grid_leads_down_to_a_small_one(count, depth, field, edges):
+    nodes = node_positions(field, field / count)
+    layer = LayerGrid(nodes, nodes, graded_depths(depth), np.full((count + 1, count + 1), 0.5))
+    pixels = np.linspace(0, field, 9)
+    flat = np.full((9, 9), 0.5)
+    problem = LayerProblem(
+        layer, Imprint(pixels, pixels, flat, 0.9 * flat), 2.2, 0.7, 6e4, (0.1, 0.1), edges=edges
+    )
+    levels = grids(problem)
+    counts = [level.grid.n_elements for level in levels]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[-1] <= 16000 or min(levels[-1].grid.shape[1:]) < 12
+    for level in levels:
+        assert np.all(np.diff(level.grid.x) > 0)
+        assert_allclose(level.grid.x[[0, -1]], [0, field], atol=1e-12)
+        assert_allclose(level.grid.thickness, 0.5)
 
 
 def test_interpolation_is_smoother_than_straight_lines():

@@ -25,8 +25,10 @@ from .stencil import threads_for
 
 Array = NDArray[np.float64]
 
-#: Elements up to which a grid is the start of the cascade.
-_COARSEST = 3000
+#: The load is followed on a grid of at most this share of the finest one's elements: it must not
+#: take longer than the finest. Below the first number that is not worth while; beyond the second,
+#: where a path begins does not change the result.
+_PATH_SHARE, _PATH_ELEMENTS = 1 / 6, (3000, 16000)
 
 
 @dataclass
@@ -46,21 +48,25 @@ class Solution:
         return sum(entry[2] for entry in self.record)
 
 
-def coarsened(problem: LayerProblem) -> LayerProblem | None:
-    """Return the problem on a grid of about half as many elements each way, None at the coarsest.
+def grids(problem: LayerProblem) -> list[LayerProblem]:
+    """Return the problem on all grids of the cascade, the finest first."""
+    few = np.clip(_PATH_SHARE * problem.grid.n_elements, *_PATH_ELEMENTS)
+    levels = [problem]
+    while levels[-1].grid.n_elements > few and min(levels[-1].grid.shape[1:]) >= 12:
+        levels.append(coarsened(levels[-1]))
+    return levels
+
+
+def coarsened(problem: LayerProblem) -> LayerProblem:
+    """Return the problem on a grid of about half as many elements each way.
 
     The imprint is smoothed to what the coarser elements can follow.
     """
     grid = problem.grid
-    nz, ny, nx = grid.shape
-    if grid.n_elements <= _COARSEST or min(nx, ny) < 12:
-        return None
-    sizes = grid.spacing()
-    halve = [
-        size < 1.6 * min(sizes) and count > smallest
-        for size, count, smallest in zip(sizes, grid.shape, (3, 5, 5), strict=True)
-    ]
-    depth = grid.depth[coarse_nodes(nz, halve[0])]
+    divisible = np.array(grid.shape) > (3, 5, 5)
+    sizes = np.array(grid.spacing())
+    halve = divisible & (sizes < 1.6 * sizes[divisible].min())
+    depth = grid.depth[coarse_nodes(grid.shape[0], bool(halve[0]))]
     edge = edge_width(depth, float(np.median(grid.thickness)))
     y, x = (
         _coarse_axis(nodes, edge if problem.edges == "free" else None) if half else nodes
@@ -129,9 +135,7 @@ def solve(
         When the full load is not reached on some grid.
     """
     tolerances = tolerances or Tolerances(force=1e-5, volume=1e-6)
-    levels = [problem]
-    while cascade and (coarser := coarsened(levels[-1])) is not None:
-        levels.append(coarser)
+    levels = grids(problem) if cascade else [problem]
     record: list[tuple[int, float, int]] = []
 
     def balanced(level: LayerProblem, state: LayerState) -> LayerState | None:
