@@ -163,8 +163,13 @@ def solve(
             wanted = tolerances if level is problem else on_the_way(tolerances, level)
             report = partial(on_iteration, level) if on_iteration else None
             linear = make_solver(level, solver)
-            with threads_for(level.grid.node_shape):
-                state, steps = follow(level, linear, wanted, rest, full, control, report)
+            try:
+                with threads_for(level.grid.node_shape):
+                    state, steps = follow(level, linear, wanted, rest, full, control, report)
+            except LoadNotReached:
+                if level is problem:
+                    raise
+                continue  # what a coarse grid cannot bear a finer one may
             record += [(level.grid.n_elements, *step) for step in steps]
     assert state is not None  # there is at least one level
     return Solution(problem, state, record)
