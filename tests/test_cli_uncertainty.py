@@ -43,7 +43,7 @@ def test_end_to_end(here, run):
         "uncertainty", "study.toml", "--modulus", 0.03, "--thickness-noise", 0.001, "--probes", 1
     )
     assert status == 0
-    assert "solve 8 of 8" in err
+    assert "solve 9 of 9" in err
     assert (here / "results" / "uncertainty.png").stat().st_size > 10000
     with xr.open_dataset(here / "results" / "uncertainty.nc", engine="h5netcdf") as errors:
         errors.load()

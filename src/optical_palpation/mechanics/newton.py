@@ -89,9 +89,6 @@ _STAGNATION = 12
 #: Least damping of a step that otherwise fails, in shear moduli per thickness squared, and how
 #: often a step is tried.
 _DAMPING, _ATTEMPTS = 30.0, 6
-#: A linear system of free edges that takes more iterations is nearly singular, as near a snap, and
-#: the step is repeated with so many times the least damping.
-_HARD, _FIRM = 15, 10.0
 
 
 #: Share of its smallest volume ratio that the layer must keep in a step.
@@ -269,9 +266,6 @@ def equilibrate(
             storage = system.stencil
             du, dp, count = solver.solve(system, linear)
             krylov += count
-            if count > _HARD and problem.edges == "free" and damping < _FIRM * least:
-                damping = _FIRM * least
-                continue
             if not (np.isfinite(du).all() and np.isfinite(dp).all()):
                 raise NotConverged("the linear system could not be solved")
             # The first step crosses the new load and a damped one a snap: both may leave more out
@@ -288,8 +282,7 @@ def equilibrate(
         linear = (
             tolerances.linear if fraction == 1.0 else max(0.1 * linear, 1e-3 * tolerances.linear)
         )
-        change = after.force_error / now.force_error
-        damping *= 0.5 * change if change < 1 else 2.0
+        damping *= 0.5 * min(1.0, after.force_error / now.force_error)
         if damping < 0.1 * least:
             damping = 0.0
         now = after
