@@ -135,16 +135,18 @@ def solve(
         When the full load is not reached on some grid.
     """
     tolerances = tolerances or Tolerances(force=1e-5, volume=1e-6)
-    levels = grids(problem) if cascade else [problem]
     record: list[tuple[int, float, int]] = []
+
+    def wanted(level: LayerProblem) -> Tolerances:
+        return tolerances if level is problem else on_the_way(tolerances, level)
 
     def balanced(level: LayerProblem, state: LayerState) -> LayerState | None:
         """Bring a state near full load into equilibrium; None where it is too far away."""
-        wanted = tolerances if level is problem else on_the_way(tolerances, level)
         report = partial(on_iteration, level, 1.0) if on_iteration else None
         try:
             with threads_for(level.grid.node_shape):
-                count = equilibrate(level, state, make_solver(level, solver), wanted, report)
+                linear = make_solver(level, solver)
+                count = equilibrate(level, state, linear, wanted(level), report)
         except NotConverged:
             return None
         record.append((level.grid.n_elements, 1.0, count))
@@ -153,6 +155,7 @@ def solve(
     state = balanced(problem, start.copy()) if start is not None else None
     if state is not None:
         return Solution(problem, state, record)
+    levels = grids(problem) if cascade else [problem]
     for n in reversed(range(len(levels))):
         level = levels[n]
         if state is not None:
@@ -160,12 +163,11 @@ def solve(
         if state is None:  # the load is followed on this grid
             rest = LayerState.unloaded(level.grid)
             full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
-            wanted = tolerances if level is problem else on_the_way(tolerances, level)
             report = partial(on_iteration, level) if on_iteration else None
             linear = make_solver(level, solver)
             try:
                 with threads_for(level.grid.node_shape):
-                    state, steps = follow(level, linear, wanted, rest, full, control, report)
+                    state, steps = follow(level, linear, wanted(level), rest, full, control, report)
             except LoadNotReached:
                 if level is problem:
                     raise
