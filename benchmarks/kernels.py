@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 import numba as nb
 import numpy as np
@@ -18,9 +20,8 @@ import numpy as np
 from optical_palpation.mechanics import stencil as st
 from optical_palpation.mechanics.elements import (
     GRADIENTS,
-    GRADIENTS32,
     internal_force,
-    tangent_stencil,
+    tangent_planes,
 )
 from optical_palpation.mechanics.multigrid import Hierarchy
 from optical_palpation.mechanics.schur import SchurComplement
@@ -50,7 +51,6 @@ def measure(nx: int, ny: int, nz: int) -> list[tuple[str, float, int]]:
     p = np.random.default_rng(0).standard_normal((nz, ny, nx))
     force, volume, reference = np.empty_like(u), np.empty_like(p), np.empty_like(p)
     jacobian = np.empty((nz, ny))
-    stencil = np.empty((nz + 1, ny + 1, 27, 9, nx + 1), np.float32)
     divergence = np.empty((nz, ny, 24, nx), np.float32)
     law, gamma = (C10, C01), 3 * SHEAR
     rows: list[tuple[str, float, int]] = []
@@ -65,29 +65,33 @@ def measure(nx: int, ny: int, nz: int) -> list[tuple[str, float, int]]:
         ),
         nodes, u, p, force, volume, reference,
     )  # fmt: skip
-    row(
-        "tangent",
-        lambda: tangent_stencil(nodes, u, p, *law, gamma, GRADIENTS32, stencil, divergence),
-        nodes, u, p, stencil, divergence,
-    )  # fmt: skip
+    hierarchy = Hierarchy((z, y, x))
+    fine = hierarchy.levels[0]
+    planes = partial(tangent_planes, nodes, u, p, *law, gamma, divergence)
+    row("tangent", lambda: deque(planes(), 0), nodes, u, p, divergence)
     free = np.ones(u.shape, bool)
     free[2, [0, -1]] = False
-    row("constraints", lambda: st.constrain(stencil, free), free)
-    hierarchy = Hierarchy((z, y, x))
-    row("coarse operators", lambda: hierarchy.update(stencil, free), stencil)
-    fine = hierarchy.levels[0]
+    tangent = [plane.copy() for plane in planes()]
+
+    def store() -> None:
+        for k, plane in enumerate(tangent):
+            st.constrain(plane, free, free.all(3), k)
+            st.store(plane, fine.stencil, k)
+
+    row("constraints, storing", store, *tangent, *fine.stencil)
+    row("coarse operators", lambda: hierarchy.update(free), *fine.stencil)
     one = np.float32(1)
-    row("product", lambda: st.multiply(stencil, fine.x, fine.r), stencil, fine.x, fine.r)
+    row("product", lambda: st.multiply(fine.stencil, fine.x, fine.r), *fine.stencil, fine.x, fine.r)
     row(
         "smoothing step",
-        lambda: st.smoothing_direction(
-            stencil, fine.inverse, fine.x, fine.b, fine.d, 0 * one, one
+        lambda: st.smoothing_step(
+            fine.stencil, fine.inverse, fine.x, fine.b, fine.d, 0 * one, one, fine.r
         ),
-        stencil, fine.inverse, fine.x, fine.b, fine.d,
+        *fine.stencil, fine.inverse, fine.x, fine.b, fine.d, fine.r,
     )  # fmt: skip
-    rhs = st.halo_zeros(fine.node_shape, np.float32)
-    st.interior(rhs)[:] = np.where(free, force, 0)
-    passes = [stencil] * 8  # smoothing before and after, and the residual
+    rhs = st.halo_zeros(fine.node_shape)
+    st.interior(rhs, fine.node_shape)[:] = np.where(free, force, 0)
+    passes = [*fine.stencil] * 8  # smoothing before and after, and the residual
     row("V-cycle", lambda: hierarchy.cycle(rhs), *passes)
     schur = SchurComplement(p.shape, (z[1], y[1], x[1]), SHEAR, gamma)
     schur.prepare(reference.astype(np.float32), 1e4 * SHEAR)

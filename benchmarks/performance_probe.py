@@ -34,7 +34,7 @@ PHASES = {
 }
 
 #: Kernels that touch a part only of the arrays they are given.
-PARTIAL = {"constrain", "invert_blocks"}
+PARTIAL = {"constrain", "store", "_tangent_layer"}
 
 
 class Probe:
@@ -108,7 +108,8 @@ class Probe:
     def _counted(self, kernel: Callable) -> Callable:
         @functools.wraps(kernel)
         def watched(*args):
-            arrays = {id(a): a.nbytes for a in args if isinstance(a, np.ndarray)}
+            given = [a for arg in args for a in (arg if isinstance(arg, tuple) else (arg,))]
+            arrays = {id(a): a.nbytes for a in given if isinstance(a, np.ndarray)}
             self.bytes_moved += sum(arrays.values())
             return kernel(*args)
 

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from .system import NewtonSystem
 
-Array = NDArray[np.float64]
+Vector = NDArray[np.floating]
 
 
 class DirectSolver:
@@ -26,11 +26,18 @@ class DirectSolver:
 
     dtype: ClassVar[type[np.floating]] = np.float64
 
-    def __init__(self, bulk_modulus: float) -> None:
+    def __init__(self, node_shape: tuple[int, int, int], bulk_modulus: float) -> None:
+        nz1, ny1, nx1 = node_shape
         #: Penalty that condenses the pressure exactly.
         self.gamma = bulk_modulus
+        #: [z, y, neighbour, 3 * row + column, x].
+        self.stencil = np.empty((nz1, ny1, 27, 9, nx1))
 
-    def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Array, Array, int]:
+    def store(self, k: int, plane: Vector) -> None:
+        """Take plane k of the displacement block."""
+        self.stencil[k] = plane[..., : self.stencil.shape[-1]]
+
+    def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Vector, Vector, int]:
         """Return the step (du in contact coordinates, dp) and 1, the number of solves.
 
         ``tolerance`` is not used: the solution is exact to rounding.
@@ -42,10 +49,10 @@ class DirectSolver:
             / system.volume
             * (system.volume_change(solution) - system.volume_rhs)
         )
-        return system.prescribed + solution, dp, 1
+        return system.with_prescribed(solution), dp, 1
 
 
-def sparse_solve(matrix: sp.csr_matrix, rhs: Array) -> Array:
+def sparse_solve(matrix: sp.csr_matrix, rhs: Vector) -> Vector:
     """Solve one sparse linear system with the best library at hand."""
     try:
         solver = pardiso()

@@ -8,14 +8,17 @@ with the pressure p (tension positive) an independent unknown of each element. K
 ``L`` elements of one grid row at a time (``lanes``). Rows of elements that share no nodes are
 computed in parallel.
 
-Displacement-like arrays are ``[component, z, y, x]``; tangent stencils ``[z, y, neighbour,
-3 * row + column, x]`` with neighbour = 9 (dz + 1) + 3 (dy + 1) + (dx + 1).
+Displacement-like arrays are ``[component, z, y, x]``; the tangent comes plane by plane of nodes as
+``[y, neighbour, 3 * row + column, x]`` with neighbour = 9 (dz + 1) + 3 (dy + 1) + (dx + 1).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numba as nb
 import numpy as np
+from numpy.typing import NDArray
 
 from .lanes import (
     DET,
@@ -37,6 +40,7 @@ from .lanes import (
     isochoric_stress,
     kinematics,
 )
+from .stencil import padded
 
 _G = 0.5 / np.sqrt(3.0)
 
@@ -142,8 +146,8 @@ def internal_force(nodes, u, p, c10, c01, dn, force, volume, volume_ref, min_jac
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
-def _tangent_row(nodes, u, p, material1, material2, penalty, dn, k, j, w, stencil, divergence):
-    """Add one row of elements to the stencils."""
+def _tangent_row(nodes, u, p, material1, material2, penalty, dn, k, j, w, below, above, divergence):
+    """Add one row of elements to the stencils of the node planes below and above it."""
     nx = p.shape[2]
     for i0 in range(0, nx, L):
         i0 &= LARGEST
@@ -192,7 +196,7 @@ def _tangent_row(nodes, u, p, material1, material2, penalty, dn, k, j, w, stenci
                     divergence[k, j, 3 * a + c, i0 + l] = w[FE + (3 * a + c) * L + l]
         for a in range(8):
             az, ay, ax = a >> 2, (a >> 1) & 1, a & 1
-            row = stencil[k + az, j + ay]
+            row = (above if az else below)[j + ay]
             for bb in range(8):
                 bz, by, bx = bb >> 2, (bb >> 1) & 1, bb & 1
                 blocks = row[9 * (bz - az + 1) + 3 * (by - ay + 1) + (bx - ax + 1)]
@@ -212,7 +216,39 @@ def _tangent_row(nodes, u, p, material1, material2, penalty, dn, k, j, w, stenci
 
 
 @nb.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
-def tangent_stencil(nodes, u, p, c10, c01, gamma, dn, stencil, divergence):
+def _tangent_layer(nodes, u, p, c10, c01, gamma, dn, k, below, above, divergence):
+    """Add the element layer k to the stencils of the node planes k and k + 1, the latter new."""
+    ny = p.shape[1]
+    dtype = below.dtype
+    material1, material2, penalty = dtype.type(c10), dtype.type(c01), dtype.type(gamma)
+    # Strips of element rows, the even ones first: neighbouring strips share a row of nodes.
+    width = 3
+    strips = (ny + width - 1) // width
+    for odd in range(2):
+        for pair in nb.prange((strips + 1 - odd) // 2):
+            first = (2 * pair + odd) * width
+            last = min(first + width, ny)
+            w = np.empty(ROWS * L, dtype)
+            for j in range(first + odd, last + 1 if last == ny or odd == 0 else last):
+                above[j] = 0
+                if k == 0:
+                    below[j] = 0
+            for j in range(first, last):
+                _tangent_row(
+                    nodes, u, p, material1, material2, penalty, dn, k, j, w, below, above,
+                    divergence,
+                )  # fmt: skip
+
+
+def tangent_planes(
+    nodes: NDArray[np.float64],
+    u: NDArray[np.float64],
+    p: NDArray[np.float64],
+    c10: float,
+    c01: float,
+    gamma: float,
+    divergence: NDArray[np.floating],
+) -> Iterator[NDArray[np.floating]]:
     """Tangent stiffness as a 27-point block stencil, with the penalty gamma / V b b^T.
 
     b = dv/du is the gradient of an element's deformed volume. With gamma equal to the bulk modulus
@@ -221,33 +257,25 @@ def tangent_stencil(nodes, u, p, c10, c01, gamma, dn, stencil, divergence):
 
     Parameters
     ----------
-    dn
-        ``GRADIENTS`` or ``GRADIENTS32``: sets the working precision, with that of ``stencil``.
-    stencil
-        Output, shape (nz + 1, ny + 1, 27, 9, nx + 1).
     divergence
-        Output b, shape (nz, ny, 24, nx), entry 3 * node + component.
+        Output b, shape (nz, ny, 24, nx), entry 3 * node + component; its precision is that of the
+        computation. Complete at the end.
+
+    Yields
+    ------
+    NDArray
+        The stencils of one plane of nodes after the other, [y, neighbour, 3 * row + column, x], x
+        filled up with zeros to whole lanes. Each is overwritten when the next but one is made.
     """
-    nz, ny, _ = p.shape
-    dtype = stencil.dtype
-    material1, material2, penalty = dtype.type(c10), dtype.type(c01), dtype.type(gamma)
-    # Strips of element rows, the even ones first: neighbouring strips share a row of nodes. A strip
-    # is swept plane by plane, so that the stencils it adds to stay in the cache.
-    width = 3
-    strips = (ny + width - 1) // width
-    for odd in range(2):
-        for pair in nb.prange((strips + 1 - odd) // 2):
-            first = (2 * pair + odd) * width
-            last = min(first + width, ny)
-            w = np.empty(ROWS * L, dtype)
-            for k in range(nz):
-                for kk in range(k + 1 if k > 0 else 0, k + 2):
-                    for j in range(first + odd, last + 1 if last == ny or odd == 0 else last):
-                        stencil[kk, j] = 0
-                for j in range(first, last):
-                    _tangent_row(
-                        nodes, u, p, material1, material2, penalty, dn, k, j, w, stencil, divergence
-                    )
+    nz1, ny1, nx1 = u.shape[1:]
+    dn = GRADIENTS if divergence.dtype == np.float64 else GRADIENTS32
+    shape = (ny1, 27, 9, padded(nx1))
+    below, above = np.zeros(shape, divergence.dtype), np.zeros(shape, divergence.dtype)
+    for k in range(nz1 - 1):
+        _tangent_layer(nodes, u, p, c10, c01, gamma, dn, k, below, above, divergence)
+        yield below
+        below, above = above, below
+    yield below
 
 
 @nb.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from .grid import LayerGrid
 from .multigrid import Hierarchy
 from .schur import SchurComplement
-from .stencil import halo_zeros, interior, multiply, threads_for
+from .stencil import Stencil, halo_zeros, interior, multiply, store, threads_for
 from .system import NewtonSystem
 
-Array = NDArray[np.float64]
+Vector = NDArray[np.floating]
 
 #: Penalty of the displacement block in units of the shear modulus.
 _GAMMA = 3.0
@@ -37,7 +37,16 @@ class MultigridSolver:
         self.hierarchy = Hierarchy((grid.depth * float(np.median(grid.thickness)), grid.y, grid.x))
         self.schur = SchurComplement(grid.shape, grid.spacing(), shear_modulus, self.gamma)
 
-    def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Array, Array, int]:
+    @property
+    def stencil(self) -> Stencil:
+        """The displacement block."""
+        return self.hierarchy.levels[0].stencil
+
+    def store(self, k: int, plane: Vector) -> None:
+        """Take plane k of the displacement block."""
+        store(plane, self.stencil, k)
+
+    def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Vector, Vector, int]:
         """Return the step (du in contact coordinates, dp) and the number of iterations.
 
         ``tolerance`` is the reduction of the residual of both equations together, each pressure
@@ -46,9 +55,9 @@ class MultigridSolver:
         with threads_for(system.rhs.shape[1:]):
             return self._solve(system, tolerance)
 
-    def _solve(self, system: NewtonSystem, tolerance: float) -> tuple[Array, Array, int]:
+    def _solve(self, system: NewtonSystem, tolerance: float) -> tuple[Vector, Vector, int]:
         f32 = np.float32
-        self.hierarchy.update(system.stencil, system.free)
+        self.hierarchy.update(system.free)
         free = system.free.astype(f32)
         volume = system.volume.astype(f32)
         coupling = f32(1 - system.gamma / system.bulk_modulus)
@@ -56,47 +65,48 @@ class MultigridSolver:
         weight = f32(self.shear_modulus + system.gamma) / np.cbrt(volume)
         self.schur.prepare(volume, system.bulk_modulus)
         shape = system.rhs.shape[1:]
-        x, y = halo_zeros(shape, f32), halo_zeros(shape, f32)
+        x, y = halo_zeros(shape), halo_zeros(shape)
+        inside, product = interior(x, shape), interior(y, shape)
         size = free.size
 
-        def split(v: NDArray) -> tuple[NDArray, NDArray]:
+        def split(v: Vector) -> tuple[Vector, Vector]:
             return v[:size].reshape(free.shape), v[size:].reshape(volume.shape)
 
-        def operator(v: NDArray) -> NDArray:
+        def operator(v: Vector) -> Vector:
             u, p = split(v)
             out = np.empty_like(v)
             out_u, out_p = split(out)
-            interior(x)[:] = u
+            inside[:] = u
             multiply(system.stencil, x, y)
-            out_u[:] = interior(y) + free * system.pressure_force(coupling * p)
+            out_u[:] = product + free * system.pressure_force(coupling * p)
             out_p[:] = weight * (system.volume_change(u) - compressibility * p)
             return out
 
         # The uniform pressure is the mode that cosine modes miss most (a layer with nowhere to go
         # answers to it with its bulk modulus alone): it is solved for exactly.
-        interior(x)[:] = free * system.pressure_force(np.ones_like(volume))
-        response = interior(self.hierarchy.cycle(x)).copy()
+        inside[:] = free * system.pressure_force(np.ones_like(volume))
+        response = interior(self.hierarchy.cycle(x), shape).copy()
         uniform = float(system.volume_change(response).sum() + compressibility.sum())
         total = float(volume.sum())
 
-        def precondition(v: NDArray) -> NDArray:
+        def precondition(v: Vector) -> Vector:
             r_u, r_p = split(v)
             out = np.empty_like(v)
             out_u, out_p = split(out)
             r_p = r_p / weight
             mean = float(r_p.sum(dtype=np.float64))
             out_p[:] = -self.schur.solve(r_p - volume * f32(mean / total)) - f32(mean / uniform)
-            interior(x)[:] = free * (r_u - system.pressure_force(coupling * out_p))
-            out_u[:] = interior(self.hierarchy.cycle(x))
+            inside[:] = free * (r_u - system.pressure_force(coupling * out_p))
+            out_u[:] = interior(self.hierarchy.cycle(x), shape)
             return out
 
-        rhs = np.concatenate([system.rhs.ravel(), (weight * system.volume_rhs).ravel()]).astype(f32)
+        rhs = np.concatenate([system.rhs.ravel(), (weight * system.volume_rhs).ravel()])
         solution, iterations = fgmres(operator, precondition, rhs, tolerance, _LONGEST)
         u, p = split(solution)
-        return system.prescribed + u, p.astype(float), iterations
+        return system.with_prescribed(u), p, iterations
 
 
-def fgmres(operator, precondition, rhs: NDArray, tolerance: float, longest: int):
+def fgmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
     """Flexible GMRES from a zero guess, without restart.
 
     Returns the solution and the number of iterations, each one product and one preconditioning.
@@ -104,21 +114,23 @@ def fgmres(operator, precondition, rhs: NDArray, tolerance: float, longest: int)
     size = float(np.linalg.norm(rhs))
     if size == 0:
         return np.zeros_like(rhs), 0
-    basis, steps = [rhs / rhs.dtype.type(size)], []
+    # not touched, and so not in memory, before it is needed
+    basis = np.empty((longest + 1, rhs.size), rhs.dtype)
+    steps = np.empty((longest, rhs.size), rhs.dtype)
+    basis[0] = rhs / rhs.dtype.type(size)
     h = np.zeros((longest + 1, longest))
     g = np.zeros(longest + 1)
     g[0] = size
     rotations: list[tuple[float, float]] = []
     n = 0
     for n in range(1, longest + 1):
-        z = precondition(basis[-1])
-        steps.append(z)
-        w = operator(z)
-        for i, v in enumerate(basis):
-            h[i, n - 1] = float(np.dot(v, w))
-            w -= w.dtype.type(h[i, n - 1]) * v
+        steps[n - 1] = precondition(basis[n - 1])
+        w = operator(steps[n - 1])
+        along = basis[:n] @ w
+        w -= along @ basis[:n]
+        h[:n, n - 1] = along
         h[n, n - 1] = float(np.linalg.norm(w))
-        basis.append(w / w.dtype.type(max(h[n, n - 1], 1e-30)))
+        np.divide(w, rhs.dtype.type(max(h[n, n - 1], 1e-30)), out=basis[n])
         for i, (c, s) in enumerate(rotations):
             h[i, n - 1], h[i + 1, n - 1] = (
                 c * h[i, n - 1] + s * h[i + 1, n - 1],
@@ -132,7 +144,4 @@ def fgmres(operator, precondition, rhs: NDArray, tolerance: float, longest: int)
         if abs(g[n]) <= tolerance * size:
             break
     y = np.linalg.solve(h[:n, :n], g[:n])
-    solution = np.zeros_like(rhs)
-    for factor, z in zip(y, steps, strict=True):
-        solution += rhs.dtype.type(factor) * z
-    return solution, n
+    return y.astype(rhs.dtype) @ steps[:n], n

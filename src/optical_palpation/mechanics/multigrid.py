@@ -77,24 +77,26 @@ class Level:
     def __init__(self, node_shape: tuple[int, int, int], transfers: tuple[Transfer, ...]) -> None:
         self.node_shape = node_shape
         self.transfers = transfers
-        self.stencil: Vector
-        self.inverse = np.empty((*node_shape[:2], 9, node_shape[2]), np.float32)
-        self.x, self.b, self.r, self.d = (st.halo_zeros(node_shape, np.float32) for _ in range(4))
+        self.stencil = st.empty_stencil(node_shape)
+        self.inverse = np.empty_like(self.stencil.diagonal)
+        #: Solution, right-hand side, smoothing direction; and the residual or the next solution.
+        self.x, self.b, self.d, self.r = (st.halo_zeros(node_shape) for _ in range(4))
         self.largest = 0.0
         self.mode: Vector | None = None
 
     def prepare(self) -> None:
         """Invert the diagonal blocks and estimate the largest eigenvalue of D^-1 A."""
-        st.invert_blocks(self.stencil, self.inverse)
+        st.invert_blocks(self.stencil.diagonal, self.inverse)
         steps = 2
         if self.mode is None:
             steps = 12
             rng = np.random.default_rng(0)
-            self.mode = st.halo_zeros(self.node_shape, np.float32)
-            st.interior(self.mode)[:] = rng.standard_normal(self.x[:, 1:-1, 1:-1, 1:-1].shape)
+            self.mode = st.halo_zeros(self.node_shape)
+            inside = st.interior(self.mode, self.node_shape)
+            inside[:] = rng.standard_normal(inside.shape, np.float32)
         for _ in range(steps):
             st.multiply(self.stencil, self.mode, self.r)
-            st.scale_by_blocks(self.inverse, self.r, self.mode, np.float32(1))
+            st.first_step(self.inverse, self.r, self.d, self.mode, np.float32(1))
             size = float(np.linalg.norm(self.mode.ravel()))
             self.mode /= np.float32(size)
         self.largest = 1.1 * size
@@ -105,26 +107,34 @@ class Level:
         centre, half = 0.5 * (high + low), 0.5 * (high - low)
         sigma = centre / half
         rho = 1 / sigma
-        f = np.float32
         if from_zero:
-            st.scale_by_blocks(self.inverse, self.b, self.d, f(1 / centre))
-            self.x[:] = self.d
+            st.first_step(self.inverse, self.b, self.d, self.x, np.float32(1 / centre))
         else:
-            st.smoothing_direction(
-                self.stencil, self.inverse, self.x, self.b, self.d, f(0), f(1 / centre)
-            )
-            self.x += self.d
+            self._step(0.0, 1 / centre)
         for _ in range((_BEFORE if from_zero else _AFTER) - 1):
             new = 1 / (2 * sigma - rho)
-            st.smoothing_direction(
-                self.stencil, self.inverse, self.x, self.b, self.d, f(new * rho), f(2 * new / half)
-            )
-            self.x += self.d
+            self._step(new * rho, 2 * new / half)
             rho = new
+
+    def _step(self, keep: float, gain: float) -> None:
+        st.smoothing_step(
+            self.stencil,
+            self.inverse,
+            self.x,
+            self.b,
+            self.d,
+            np.float32(keep),
+            np.float32(gain),
+            self.r,
+        )
+        self.x, self.r = self.r, self.x
 
 
 class Hierarchy:
-    """All levels for one grid: ``update`` takes a new fine stencil, ``cycle`` does a V-cycle."""
+    """All levels for one grid.
+
+    ``store`` takes the operator of the finest, ``update`` coarsens it, ``cycle`` does a V-cycle.
+    """
 
     def __init__(
         self, positions: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
@@ -148,26 +158,23 @@ class Hierarchy:
             self.levels.append(Level(shape, transfers))  # type: ignore[arg-type]
             positions = tuple(p[n] for p, n in zip(positions, chosen, strict=True))  # type: ignore[assignment]
 
-    def update(self, stencil: Vector, free: NDArray[np.bool_]) -> None:
-        """Set the fine operator (already constrained) and coarsen it."""
-        self.levels[0].stencil = stencil
+    def update(self, free: NDArray[np.bool_]) -> None:
+        """Coarsen the operator of the finest level, whose ``free`` unknowns are given."""
         for level, coarser in pairwise(self.levels):
             with st.threads_for(level.node_shape):
                 level.prepare()
-                if not hasattr(coarser, "stencil"):
-                    nz1, ny1, nx1 = coarser.node_shape
-                    coarser.stencil = np.empty((nz1, ny1, 27, 9, nx1), np.float32)
                 tz, ty, tx = level.transfers
+                free = free[np.ix_(np.arange(3), tz.nodes, ty.nodes, tx.nodes)]
                 st.galerkin(
                     level.stencil,
+                    free,
+                    free.all(3),
                     coarser.stencil,
                     *(a for t in (tz, ty, tx) for a in (t.low, t.first, t.table)),
                 )
-                free = free[np.ix_(np.arange(3), tz.nodes, ty.nodes, tx.nodes)]
-                st.constrain(coarser.stencil, free)
         coarsest = self.levels[-1]
         self._free = free
-        matrix = sparse_matrix(coarsest.stencil, free)
+        matrix = sparse_matrix(st.expanded(coarsest.stencil, coarsest.node_shape[2]), free)
         dense = matrix.toarray().astype(np.float32)
         # too small for threads, which on busy cores wait for one another a hundred times as long
         with self._libraries.limit(limits=1, user_api="blas"):
@@ -184,10 +191,9 @@ class Hierarchy:
                 to_coarse = (a for t in level.transfers for a in (t.first, t.table))
                 st.restrict(level.r, coarser.b, *to_coarse)
         coarsest = self.levels[-1]
-        rhs = np.where(self._free, st.interior(coarsest.b), 0).ravel()
-        st.interior(coarsest.x)[:] = scipy.linalg.lu_solve(
-            self._lu, rhs, check_finite=False
-        ).reshape(self._free.shape)
+        rhs = np.where(self._free, st.interior(coarsest.b, coarsest.node_shape), 0).ravel()
+        solution = scipy.linalg.lu_solve(self._lu, rhs, check_finite=False)
+        st.interior(coarsest.x, coarsest.node_shape)[:] = solution.reshape(self._free.shape)
         for coarser, level in pairwise(self.levels[::-1]):
             with st.threads_for(level.node_shape):
                 to_fine = (a for t in level.transfers for a in (t.low, t.weight))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,29 @@ Array = NDArray[np.float64]
 class LinearSolver(Protocol):
     """What Newton's method needs of a linear solver."""
 
+    #: Penalty of the displacement block, kPa.
     gamma: float
     dtype: ClassVar[type[np.floating]]
 
-    def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Array, Array, int]:
-        """Return the step (du in contact coordinates, dp) and the number of iterations."""
+    @property
+    def stencil(self) -> Any:
+        """The displacement block, in whatever form."""
+        ...
+
+    def store(self, k: int, plane: NDArray[np.floating]) -> None:
+        """Take plane k of the displacement block, [y, neighbour, 3 * row + column, x].
+
+        Rows are filled up to whole lanes; the plane is overwritten afterwards.
+        """
+        ...
+
+    def solve(
+        self, system: NewtonSystem, tolerance: float
+    ) -> tuple[NDArray[np.floating], NDArray[np.floating], int]:
+        """Return the step (du in contact coordinates, dp) and the number of iterations.
+
+        The system is the one last assembled for this solver.
+        """
         ...
 
 
@@ -173,7 +191,7 @@ def _search(
     direction: Array,
     smoothing: float,
     system: NewtonSystem,
-    solution: tuple[Array, Array],
+    solution: tuple[NDArray[np.floating], NDArray[np.floating]],
     lenient: bool,
 ) -> tuple[Balance, Array, float] | None:
     """Take the largest fraction of a Newton step that leads on (``state`` changed in place).
@@ -188,7 +206,7 @@ def _search(
     du, dp = solution
     step = system.to_cartesian(du)
     change = system.contact_forces(now.force, du, dp) - state.normal_force
-    slip_step = np.stack([step[:2, 0], step[:2, -1]]) / problem.slip_length
+    slip_step = np.stack([step[:2, 0], step[:2, -1]]).astype(float) / problem.slip_length
     turn = direction_step(slip_coordinate(problem, state), direction, slip_step)
     trial = state.copy()
     for fraction in (1.0, 0.5, 0.25, 0.125):
@@ -231,7 +249,6 @@ def equilibrate(
     direction = friction_direction(state.slip)
     now = balance(problem, state, smoothing, direction)
     krylov = 0
-    storage = None
     errors: list[float] = []
     linear = tolerances.linear
     least = _DAMPING * problem.shear_modulus / float(np.median(problem.grid.thickness)) ** 2
@@ -251,19 +268,7 @@ def equilibrate(
             return iteration
         krylov = 0
         for _ in range(_ATTEMPTS):
-            system = assemble(
-                problem,
-                state,
-                now.contact,
-                now.force,
-                now.volume,
-                now.volume_ref,
-                solver.gamma,
-                solver.dtype,
-                storage,
-                damping,
-            )
-            storage = system.stencil
+            system = assemble(problem, state, now, solver, damping)
             du, dp, count = solver.solve(system, linear)
             krylov += count
             if not (np.isfinite(du).all() and np.isfinite(dp).all()):

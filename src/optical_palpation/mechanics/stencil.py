@@ -1,177 +1,339 @@
 """Products with 27-point block stencils, and their Galerkin coarsening.
 
-Vectors carry a halo of one zero node on every side, ``[component, z + 2, y + 2, x + 2]``, so that
-products need no branches. Stencils are ``[z, y, neighbour, 3 * row + column, x]``.
+What a product costs is the passage of its stencil through the memory. Its entries are therefore
+16-bit integers with one factor for each row of the matrix, and lie in the order in which they are
+read: ``L`` nodes of a grid row at a time, all 27 neighbours, 3 * row + column. The diagonal
+blocks, whose contact springs and friction may exceed all else, stay apart in single precision.
+
+Vectors carry a halo of zero nodes, one on every side and on the far side of x as many as fill the
+lanes: ``[component, z + 2, y + 2, width + 2]``.
 """
 
+# ruff: noqa: E741 -- l is the lane
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-#: Nodes that make it worth while to wake one more thread.
-_NODES_PER_THREAD = 4000
-_fast = {"nsz", "arcp", "contract", "reassoc"}
+from .lanes import FAST, LARGEST, L
+
+#: Nodes below which a grid is left to one thread: to wake others takes longer than they save.
+_NODES_OF_ONE_THREAD = 20000
+#: Entries of one neighbour of the lanes.
+_BLOCK = 9 * L
+_LARGEST_ENTRY = 32767.0
+
+
+class Stencil(NamedTuple):
+    """The matrix of a grid; entry = ``scale`` of its row x ``entries``, + ``diagonal``.
+
+    Attributes
+    ----------
+    entries
+        [z, y, lanes, 27 x 9 x L], 0 where the neighbour is the node itself.
+    scale
+        [z, y, lanes, row of the block x L].
+    diagonal
+        Block of the node itself, [z, y, lanes, (3 * row + column) x L], and what all others of its
+        row lost by rounding: a displacement that is the same everywhere meets the exact forces, a
+        smooth one nearly so.
+    """
+
+    entries: NDArray[np.int16]
+    scale: NDArray[np.float32]
+    diagonal: NDArray[np.float32]
+
+
+def padded(count: int) -> int:
+    """Length of a grid row that fills the lanes."""
+    return -(-count // L) * L
+
+
+def empty_stencil(node_shape: tuple[int, int, int]) -> Stencil:
+    """Return storage for the stencil of a grid."""
+    nz1, ny1, nx1 = node_shape
+    lanes = padded(nx1) // L
+    return Stencil(
+        np.empty((nz1, ny1, lanes, 27 * _BLOCK), np.int16),
+        np.empty((nz1, ny1, lanes, 3 * L), np.float32),
+        np.empty((nz1, ny1, lanes, _BLOCK), np.float32),
+    )
 
 
 @contextmanager
 def threads_for(node_shape: tuple[int, ...]) -> Iterator[None]:
-    """Use no more threads than a grid of this size keeps busy."""
+    """Leave small grids to one thread."""
     allowed = nb.get_num_threads()
-    nb.set_num_threads(max(1, min(allowed, int(np.prod(node_shape)) // _NODES_PER_THREAD)))
+    if np.prod(node_shape) < _NODES_OF_ONE_THREAD:
+        nb.set_num_threads(1)
     try:
         yield
     finally:
         nb.set_num_threads(allowed)
 
 
-def halo_zeros(node_shape: tuple[int, int, int], dtype: type[np.floating]) -> NDArray:
+def halo_zeros(node_shape: tuple[int, int, int]) -> NDArray[np.float32]:
     """Return a zero vector with its halo."""
-    return np.zeros((3, *(n + 2 for n in node_shape)), dtype)
+    nz1, ny1, nx1 = node_shape
+    return np.zeros((3, nz1 + 2, ny1 + 2, padded(nx1) + 2), np.float32)
 
 
-def interior(vector: NDArray) -> NDArray:
+def interior(vector: NDArray, node_shape: tuple[int, int, int]) -> NDArray:
     """View of a vector without its halo."""
-    return vector[:, 1:-1, 1:-1, 1:-1]
+    return vector[:, 1:-1, 1:-1, 1 : node_shape[2] + 1]
 
 
-@nb.njit(fastmath=_fast)
-def _row_product(stencil, x, k, j, out):
-    """out[c, i] = (S x) for the row of nodes (k, j)."""
-    nx1 = out.shape[1]
+def expanded(stencil: Stencil, nx1: int) -> NDArray[np.float32]:
+    """All entries of a stencil, [z, y, neighbour, 3 * row + column, x]."""
+    nz1, ny1, lanes, _ = stencil.entries.shape
+    out = stencil.entries.reshape(nz1, ny1, lanes, 27, 3, 3, L).astype(np.float32)
+    out *= stencil.scale.reshape(nz1, ny1, lanes, 1, 3, 1, L)
+    out[:, :, :, 13] += stencil.diagonal.reshape(nz1, ny1, lanes, 3, 3, L)
+    out = np.moveaxis(out, 2, 5).reshape(nz1, ny1, 27, 9, lanes * L)
+    return out[..., :nx1]
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
+def _product(stencil, x, k, j, i0, out):
+    """out[c * L + l] = (S x)_c of the lanes from node i0 of the row (k, j)."""
     out[:] = 0
+    block = i0 // L
+    s = stencil.entries[k, j, block]
     for m in range(9):
-        blocks, kk, jj = stencil[k, j, 3 * m : 3 * m + 3], k + m // 3, j + m % 3
-        left, middle, right = blocks[0], blocks[1], blocks[2]
+        kk, jj = k + m // 3, j + m % 3
         x0, x1, x2 = x[0, kk, jj], x[1, kk, jj], x[2, kk, jj]
         for c in range(3):
-            line = out[c]
-            a0, a1, a2 = left[3 * c], left[3 * c + 1], left[3 * c + 2]
-            b0, b1, b2 = middle[3 * c], middle[3 * c + 1], middle[3 * c + 2]
-            c0, c1, c2 = right[3 * c], right[3 * c + 1], right[3 * c + 2]
-            for i in range(nx1):
-                line[i] += (
-                    (a0[i] * x0[i] + a1[i] * x1[i] + a2[i] * x2[i])
-                    + (b0[i] * x0[i + 1] + b1[i] * x1[i + 1] + b2[i] * x2[i + 1])
-                    + (c0[i] * x0[i + 2] + c1[i] * x1[i + 2] + c2[i] * x2[i + 2])
+            q = (27 * m + 3 * c) * L
+            for l in range(L):
+                i = (i0 + l) & LARGEST
+                out[c * L + l] += (
+                    (
+                        nb.float32(s[q + l]) * x0[i]
+                        + nb.float32(s[q + L + l]) * x1[i]
+                        + nb.float32(s[q + 2 * L + l]) * x2[i]
+                    )
+                    + (
+                        nb.float32(s[q + 9 * L + l]) * x0[i + 1]
+                        + nb.float32(s[q + 10 * L + l]) * x1[i + 1]
+                        + nb.float32(s[q + 11 * L + l]) * x2[i + 1]
+                    )
+                    + (
+                        nb.float32(s[q + 18 * L + l]) * x0[i + 2]
+                        + nb.float32(s[q + 19 * L + l]) * x1[i + 2]
+                        + nb.float32(s[q + 20 * L + l]) * x2[i + 2]
+                    )
                 )
+    x0, x1, x2 = x[0, k + 1, j + 1], x[1, k + 1, j + 1], x[2, k + 1, j + 1]
+    f, d = stencil.scale[k, j, block], stencil.diagonal[k, j, block]
+    for c in range(3):
+        q = 3 * c * L
+        for l in range(L):
+            i = (i0 + l) & LARGEST
+            out[c * L + l] = f[c * L + l] * out[c * L + l] + (
+                d[q + l] * x0[i + 1] + d[q + L + l] * x1[i + 1] + d[q + 2 * L + l] * x2[i + 1]
+            )
 
 
-@nb.njit(parallel=True, fastmath=_fast, cache=True)
+@nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
 def multiply(stencil, x, y):
     """Y = S x."""
-    nz1, ny1, _, _, nx1 = stencil.shape
+    nz1, ny1, lanes, _ = stencil.entries.shape
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
-        line = np.empty((3, nx1), x.dtype)
-        _row_product(stencil, x, k, j, line)
-        for c in range(3):
-            y[c, k + 1, j + 1, 1 : nx1 + 1] = line[c]
+        product = np.empty(3 * L, np.float32)
+        for block in range(lanes):
+            i0 = (block * L) & LARGEST
+            _product(stencil, x, k, j, i0, product)
+            for c in range(3):
+                line = y[c, k + 1, j + 1]
+                for l in range(L):
+                    line[i0 + l + 1] = product[c * L + l]
 
 
-@nb.njit(parallel=True, fastmath=_fast, cache=True)
+@nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
 def subtract_product(stencil, x, b, r):
     """R = b - S x."""
-    nz1, ny1, _, _, nx1 = stencil.shape
+    nz1, ny1, lanes, _ = stencil.entries.shape
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
-        line = np.empty((3, nx1), x.dtype)
-        _row_product(stencil, x, k, j, line)
-        for c in range(3):
-            for i in range(nx1):
-                r[c, k + 1, j + 1, i + 1] = b[c, k + 1, j + 1, i + 1] - line[c, i]
+        product = np.empty(3 * L, np.float32)
+        for block in range(lanes):
+            i0 = (block * L) & LARGEST
+            _product(stencil, x, k, j, i0, product)
+            for c in range(3):
+                line, from_ = r[c, k + 1, j + 1], b[c, k + 1, j + 1]
+                for l in range(L):
+                    line[i0 + l + 1] = from_[i0 + l + 1] - product[c * L + l]
 
 
-@nb.njit(parallel=True, fastmath=_fast, cache=True)
-def smoothing_direction(stencil, inverse, x, b, d, keep, gain):
-    """D = keep d + gain D^-1 (b - S x), D the block diagonal."""
-    nz1, ny1, _, _, nx1 = stencil.shape
+@nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
+def first_step(inverse, b, d, x, gain):
+    """X = d = gain D^-1 b."""
+    nz1, ny1, lanes, _ = inverse.shape
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
-        line = np.empty((3, nx1), x.dtype)
-        _row_product(stencil, x, k, j, line)
-        v = inverse[k, j]
-        b0, b1, b2 = b[0, k + 1, j + 1, 1:], b[1, k + 1, j + 1, 1:], b[2, k + 1, j + 1, 1:]
-        d0, d1, d2 = d[0, k + 1, j + 1, 1:], d[1, k + 1, j + 1, 1:], d[2, k + 1, j + 1, 1:]
-        for i in range(nx1):
-            r0, r1, r2 = b0[i] - line[0, i], b1[i] - line[1, i], b2[i] - line[2, i]
-            d0[i] = keep * d0[i] + gain * (v[0, i] * r0 + v[1, i] * r1 + v[2, i] * r2)
-            d1[i] = keep * d1[i] + gain * (v[3, i] * r0 + v[4, i] * r1 + v[5, i] * r2)
-            d2[i] = keep * d2[i] + gain * (v[6, i] * r0 + v[7, i] * r1 + v[8, i] * r2)
+        b0, b1, b2 = b[0, k + 1, j + 1], b[1, k + 1, j + 1], b[2, k + 1, j + 1]
+        for block in range(lanes):
+            i0 = (block * L) & LARGEST
+            v = inverse[k, j, block]
+            for c in range(3):
+                line, step, q = x[c, k + 1, j + 1], d[c, k + 1, j + 1], 3 * c * L
+                for l in range(L):
+                    i = (i0 + l + 1) & LARGEST
+                    change = gain * (
+                        v[q + l] * b0[i] + v[q + L + l] * b1[i] + v[q + 2 * L + l] * b2[i]
+                    )
+                    step[i] = change
+                    line[i] = change
 
 
-@nb.njit(parallel=True, fastmath=_fast, cache=True)
-def scale_by_blocks(inverse, b, d, gain):
-    """D = gain D^-1 b."""
-    nz1, ny1, _, nx1 = inverse.shape
+@nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
+def smoothing_step(stencil, inverse, x, b, d, keep, gain, out):
+    """D = keep d + gain D^-1 (b - S x), out = x + d; D on the right the block diagonal."""
+    nz1, ny1, lanes, _ = stencil.entries.shape
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
-        v = inverse[k, j]
-        b0, b1, b2 = b[0, k + 1, j + 1, 1:], b[1, k + 1, j + 1, 1:], b[2, k + 1, j + 1, 1:]
-        for i in range(nx1):
-            r0, r1, r2 = b0[i], b1[i], b2[i]
-            d[0, k + 1, j + 1, i + 1] = gain * (v[0, i] * r0 + v[1, i] * r1 + v[2, i] * r2)
-            d[1, k + 1, j + 1, i + 1] = gain * (v[3, i] * r0 + v[4, i] * r1 + v[5, i] * r2)
-            d[2, k + 1, j + 1, i + 1] = gain * (v[6, i] * r0 + v[7, i] * r1 + v[8, i] * r2)
+        r = np.empty(3 * L, np.float32)
+        for block in range(lanes):
+            i0 = (block * L) & LARGEST
+            _product(stencil, x, k, j, i0, r)
+            for c in range(3):
+                from_ = b[c, k + 1, j + 1]
+                for l in range(L):
+                    r[c * L + l] = from_[i0 + l + 1] - r[c * L + l]
+            v = inverse[k, j, block]
+            for c in range(3):
+                step, line, old = d[c, k + 1, j + 1], out[c, k + 1, j + 1], x[c, k + 1, j + 1]
+                q = 3 * c * L
+                for l in range(L):
+                    i = (i0 + l + 1) & LARGEST
+                    change = keep * step[i] + gain * (
+                        v[q + l] * r[l] + v[q + L + l] * r[L + l] + v[q + 2 * L + l] * r[2 * L + l]
+                    )
+                    step[i] = change
+                    line[i] = old[i] + change
 
 
-@nb.njit(parallel=True, cache=True)
-def invert_blocks(stencil, inverse):
+@nb.njit(parallel=True, cache=True, error_model="numpy")
+def invert_blocks(diagonal, inverse):
     """Invert the diagonal blocks; constrained unknowns (zero diagonal) get zero rows, columns."""
-    nz1, ny1, _, _, nx1 = stencil.shape
+    nz1, ny1, lanes, _ = diagonal.shape
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
         a = np.empty((3, 3))
-        for i in range(nx1):
-            for c in range(9):
-                a[c // 3, c % 3] = stencil[k, j, 13, c, i]
-            fixed = (a[0, 0] == 0, a[1, 1] == 0, a[2, 2] == 0)
+        for block in range(lanes):
+            d, v = diagonal[k, j, block], inverse[k, j, block]
+            for l in range(L):
+                for c in range(9):
+                    a[c // 3, c % 3] = d[c * L + l]
+                fixed = (a[0, 0] == 0, a[1, 1] == 0, a[2, 2] == 0)
+                for c in range(3):
+                    if fixed[c]:
+                        a[c, :] = 0
+                        a[:, c] = 0
+                        a[c, c] = 1
+                v00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
+                v10 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
+                v20 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
+                s = 1 / (a[0, 0] * v00 + a[0, 1] * v10 + a[0, 2] * v20)
+                v[l] = v00 * s
+                v[3 * L + l] = v10 * s
+                v[6 * L + l] = v20 * s
+                v[L + l] = (a[0, 2] * a[2, 1] - a[0, 1] * a[2, 2]) * s
+                v[4 * L + l] = (a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]) * s
+                v[7 * L + l] = (a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]) * s
+                v[2 * L + l] = (a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]) * s
+                v[5 * L + l] = (a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2]) * s
+                v[8 * L + l] = (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]) * s
+                for c in range(3):
+                    if fixed[c]:
+                        v[4 * c * L + l] = 0
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _store_row(row, stencil, k, j):
+    """Round the row [neighbour, 3 * row + column, x] of the nodes (k, j) into a stencil."""
+    # Loops run along the whole row: over the lanes alone they would not become vector instructions
+    width = row.shape[2]
+    scale, factor = np.zeros((3, width), np.float32), np.empty((3, width), np.float32)
+    for m in range(27):
+        if m != 13:
+            for e in range(9):
+                line, largest = row[m, e], scale[e // 3]
+                for i in range(width):
+                    size = abs(line[i])
+                    largest[i] = size if size > largest[i] else largest[i]
+    for c in range(3):
+        for i in range(width):
+            scale[c, i] *= nb.float32(1 / _LARGEST_ENTRY)
+            factor[c, i] = nb.float32(1) / (scale[c, i] + nb.float32(1e-30))
+    diagonal = np.empty((9, width), np.float32)
+    rounded = np.empty(width, np.int16)
+    by_four = rounded.view(np.int64)
+    entries = stencil.entries[k, j].reshape(-1).view(np.int64).reshape((width // L, -1))
+    for e in range(9):
+        near, s, f = diagonal[e], scale[e // 3], factor[e // 3]
+        near[:] = row[13, e]
+        for m in range(27):
+            line = row[m, e]
+            if m == 13:
+                rounded[:] = 0
+            else:
+                for i in range(width):
+                    value = np.rint(line[i] * f[i])
+                    rounded[i] = np.int16(value)
+                    near[i] += line[i] - s[i] * value
+            place = ((m * _BLOCK + e * L) // 4) & LARGEST
+            for block in range(width // L):
+                for l in range(L // 4):
+                    entries[block, place + l] = by_four[block * (L // 4) + l]
+    for block in range(width // L):
+        for l in range(L):
+            i = block * L + l
             for c in range(3):
-                if fixed[c]:
-                    a[c, :] = 0
-                    a[:, c] = 0
-                    a[c, c] = 1
-            v00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
-            v10 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
-            v20 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
-            s = 1 / (a[0, 0] * v00 + a[0, 1] * v10 + a[0, 2] * v20)
-            v = inverse[k, j]
-            v[0, i] = v00 * s
-            v[3, i] = v10 * s
-            v[6, i] = v20 * s
-            v[1, i] = (a[0, 2] * a[2, 1] - a[0, 1] * a[2, 2]) * s
-            v[4, i] = (a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]) * s
-            v[7, i] = (a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]) * s
-            v[2, i] = (a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]) * s
-            v[5, i] = (a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2]) * s
-            v[8, i] = (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]) * s
-            for c in range(3):
-                if fixed[c]:
-                    v[4 * c, i] = 0
+                stencil.scale[k, j, block, c * L + l] = scale[c, i]
+            for e in range(9):
+                stencil.diagonal[k, j, block, e * L + l] = diagonal[e, i]
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _clear_row(row, free, whole, k, j):
+    """Clear the rows and columns of unknowns that are not ``free``, [component, z, y, x].
+
+    ``whole`` tells, [component, z, y], where all of a grid row are.
+    """
+    _, nz1, ny1, nx1 = free.shape
+    for m in range(27):
+        kk, jj, di = k + m // 9 - 1, j + (m // 3) % 3 - 1, m % 3 - 1
+        if kk < 0 or kk >= nz1 or jj < 0 or jj >= ny1:
+            continue
+        for c in range(3):
+            for d in range(3):
+                if whole[c, k, j] and whole[d, kk, jj]:
+                    continue
+                here, there, line = free[c, k, j], free[d, kk, jj], row[m, 3 * c + d]
+                for i in range(max(0, -di), min(nx1, nx1 - di)):
+                    if not (here[i] and there[i + di]):
+                        line[i] = 0
 
 
 @nb.njit(parallel=True, cache=True)
-def constrain(stencil, free):
-    """Clear the rows and columns of constrained unknowns (free: [component, z, y, x] bool)."""
-    nz1, ny1, _, _, nx1 = stencil.shape
-    whole = np.empty((nz1, ny1), np.bool_)
-    for row in nb.prange(nz1 * ny1):
-        whole[row // ny1, row % ny1] = free[:, row // ny1, row % ny1].all()
-    for row in nb.prange(nz1 * ny1):
-        k, j = row // ny1, row % ny1
-        for m in range(27):
-            kk, jj, di = k + m // 9 - 1, j + (m // 3) % 3 - 1, m % 3 - 1
-            if kk < 0 or kk >= nz1 or jj < 0 or jj >= ny1 or (whole[k, j] and whole[kk, jj]):
-                continue
-            for c in range(3):
-                for d in range(3):
-                    for i in range(max(0, -di), min(nx1, nx1 - di)):
-                        if not (free[c, k, j, i] and free[d, kk, jj, i + di]):
-                            stencil[k, j, m, 3 * c + d, i] = 0
+def constrain(plane, free, whole, k):
+    """Clear rows and columns of unknowns in plane k, [y, neighbour, 3 row + col, x]."""
+    for j in nb.prange(len(plane)):
+        _clear_row(plane[j], free, whole, k, j)
+
+
+@nb.njit(parallel=True, cache=True)
+def store(plane, stencil, k):
+    """Round plane k, [y, neighbour, 3 * row + column, x], into a stencil."""
+    for j in nb.prange(len(plane)):
+        _store_row(plane[j], stencil, k, j)
 
 
 @nb.njit(parallel=True, cache=True)
@@ -218,17 +380,22 @@ def restrict(fine, coarse, first_z, p_z, first_y, p_y, first_x, p_x):
                 coarse[c, kc + 1, jc + 1, ic + 1] = total
 
 
-@nb.njit(parallel=True, cache=True)
-def galerkin(fine, coarse, index_z, first_z, p_z, index_y, first_y, p_y, index_x, first_x, p_x):
+@nb.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+def galerkin(
+    fine, free, whole, coarse, index_z, first_z, p_z, index_y, first_y, p_y, index_x, first_x, p_x
+):
     """Coarse stencil P^T S P, axis by axis; ``index[n]`` are the two coarse parents of fine node n.
 
-    Weights come from the dense tables p[N, n - first[N]].
+    Weights come from the dense tables p[N, n - first[N]]. Rows and columns of coarse unknowns that
+    are not ``free`` are cleared.
     """
     mz1, my1, mx1 = len(first_z), len(first_y), len(first_x)
-    nz1, ny1, _, _, nx1 = fine.shape
+    nz1, ny1, lanes, _ = fine.entries.shape
+    nx1 = len(index_x)
     for row in nb.prange(mz1 * my1):
         kc, jc = row // my1, row % my1
-        part = np.zeros((3, 3, 3, 9, nx1), fine.dtype)
+        part = np.zeros((9, lanes, 3 * _BLOCK), np.float32)
+        values, factor = np.empty_like(part), np.empty(3 * _BLOCK, np.float32)
         for a in range(p_z.shape[1]):
             k = first_z[kc] + a
             wk = p_z[kc, a]
@@ -239,6 +406,7 @@ def galerkin(fine, coarse, index_z, first_z, p_z, index_y, first_y, p_y, index_x
                 wj = p_y[jc, b]
                 if wj == 0:
                     continue
+                _read_row(fine, k, j, values, factor)
                 for dk in range(3):
                     k2 = k + dk - 1
                     if k2 < 0 or k2 >= nz1:
@@ -257,32 +425,61 @@ def galerkin(fine, coarse, index_z, first_z, p_z, index_y, first_y, p_y, index_x
                                 if jc2 >= my1 or abs(jc2 - jc) > 1:
                                     continue
                                 w = wk * wj * vk * p_y[jc2, j2 - first_y[jc2]]
-                                if w == 0:
-                                    continue
-                                m = 9 * dk + 3 * dj
-                                source = fine[k, j, m : m + 3].reshape(-1)
-                                out = part[kc2 - kc + 1, jc2 - jc + 1].reshape(-1)
-                                for i in range(len(out)):
-                                    out[i] += w * source[i]
-        for dk in range(3):
-            for dj in range(3):
-                target = coarse[kc, jc, 9 * dk + 3 * dj : 9 * dk + 3 * dj + 3]
-                target[:] = 0
-                for ic in range(mx1):
-                    for s in range(p_x.shape[1]):
-                        wi = p_x[ic, s]
-                        if wi == 0:
-                            continue
-                        i = first_x[ic] + s
-                        for di in range(3):
-                            i2 = i + di - 1
-                            if i2 < 0 or i2 >= nx1:
-                                continue
-                            for pi in range(2):
-                                ic2 = index_x[i2] + pi
-                                if ic2 >= mx1 or abs(ic2 - ic) > 1:
-                                    continue
-                                w = wi * p_x[ic2, i2 - first_x[ic2]]
                                 if w != 0:
-                                    for c in range(9):
-                                        target[ic2 - ic + 1, c, ic] += w * part[dk, dj, di, c, i]
+                                    source = values[3 * dk + dj].reshape(-1)
+                                    out = part[3 * (kc2 - kc + 1) + jc2 - jc + 1].reshape(-1)
+                                    for i in range(len(out)):
+                                        out[i] += w * source[i]
+        sums = np.zeros((mx1, 3, 9, 9), np.float32)
+        for ic in range(mx1):
+            for s in range(p_x.shape[1]):
+                wi = p_x[ic, s]
+                if wi == 0:
+                    continue
+                i = first_x[ic] + s
+                for di in range(3):
+                    i2 = i + di - 1
+                    if i2 < 0 or i2 >= nx1:
+                        continue
+                    for pi in range(2):
+                        ic2 = index_x[i2] + pi
+                        if ic2 >= mx1 or abs(ic2 - ic) > 1:
+                            continue
+                        w = wi * p_x[ic2, i2 - first_x[ic2]]
+                        if w != 0:
+                            _add_column(part, i, di, w, sums[ic, ic2 - ic + 1])
+        target = np.zeros((27, 9, coarse.entries.shape[2] * L), np.float32)
+        for ic in range(mx1):
+            for di in range(3):
+                for m in range(9):
+                    for c in range(9):
+                        target[3 * m + di, c, ic] = sums[ic, di, m, c]
+        _clear_row(target, free, whole, kc, jc)
+        _store_row(target, coarse, kc, jc)
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
+def _read_row(stencil, k, j, out, factor):
+    """Entries of the nodes (k, j), [3 dz + dy, lanes, (9 dx + 3 * row + column) x L]."""
+    for block in range(out.shape[1]):
+        scale, entries = stencil.scale[k, j, block], stencil.entries[k, j, block]
+        for e in range(27):
+            for l in range(L):
+                factor[e * L + l] = scale[(e % 9) // 3 * L + l]
+        for m in range(9):
+            target, start = out[m, block], (3 * _BLOCK * m) & LARGEST
+            for l in range(3 * _BLOCK):
+                target[l] = factor[l] * nb.float32(entries[start + l])
+        target, diagonal = out[4, block], stencil.diagonal[k, j, block]
+        for l in range(_BLOCK):
+            target[_BLOCK + l] += diagonal[l]
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
+def _add_column(part, i, di, weight, out):
+    """Add the entries of node i for its neighbour di in x, for all neighbours in z and y."""
+    block, l = i // L, i % L
+    for m in range(9):
+        source = part[m, block]
+        for c in range(9):
+            out[m, c] += weight * source[(9 * di + c) * L + l]

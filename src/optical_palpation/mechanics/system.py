@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from .contact import ContactLinearisation
-from .elements import GRADIENTS, GRADIENTS32, tangent_stencil
+from .elements import tangent_planes
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
-from .stencil import constrain, halo_zeros, interior, multiply
+from .stencil import constrain
+
+if TYPE_CHECKING:
+    from .newton import Balance, LinearSolver
 
 Array = NDArray[np.float64]
+Vector = NDArray[np.floating]
 
 
 @dataclass
@@ -27,59 +32,65 @@ class NewtonSystem:
         A du + B dp           = -residual
         B^T du - (V / K) dp   = -volume_residual.
 
-    ``stencil`` holds A + gamma B V^-1 B^T with the rows and columns of constrained unknowns
-    cleared (their diagonal too); ``rhs`` and ``volume_rhs`` the right-hand sides of
+    ``stencil`` holds A + gamma B V^-1 B^T as the linear solver stores it, with the rows and columns
+    of constrained unknowns cleared (their diagonal too); ``rhs`` and ``volume_rhs`` the right-hand
+    sides of
 
         (A + gamma B V^-1 B^T) du + (1 - gamma / K) B dp = rhs
         B^T du - (V / K) dp                              = volume_rhs
 
-    for the free unknowns, the ``prescribed`` step of the others taken into account.
+    for the free unknowns, the ``prescribed`` step of the others, d on both faces, taken into
+    account. All are in the solver's precision: only residuals need more.
     """
 
-    stencil: NDArray[np.floating]
-    divergence: NDArray[np.floating]
+    stencil: Any
+    divergence: Vector
     contact: ContactLinearisation
     free: NDArray[np.bool_]
     prescribed: Array
-    rhs: Array
-    volume_rhs: Array
+    rhs: Vector
+    volume_rhs: Vector
     volume: Array
     bulk_modulus: float
     gamma: float
-    vertical_rows: NDArray[np.floating]
+    vertical_rows: Vector
 
-    def volume_change(self, du: Array) -> Array:
+    def volume_change(self, du: Vector) -> Vector:
         """B^T du: volume change of each element, mm^3, for du in contact coordinates."""
         out = np.empty(self.volume.shape, du.dtype)
         gather_divergence(self.divergence, self.to_cartesian(du), out)
         return out
 
-    def pressure_force(self, dp: Array) -> Array:
+    def pressure_force(self, dp: Vector) -> Vector:
         """B dp: nodal forces, mN, in contact coordinates."""
         out = np.empty((3, *(n + 1 for n in dp.shape)), dp.dtype)
         scatter_divergence(self.divergence, dp, out)
         return self.combine_rows(out)
 
-    def to_cartesian(self, du: Array) -> Array:
+    def with_prescribed(self, du: Vector) -> Vector:
+        """Put the prescribed step into du (in place)."""
+        du[2, [0, -1]] += self.prescribed.astype(du.dtype)
+        return du
+
+    def to_cartesian(self, du: Vector) -> Vector:
         """Displacement (x, y, z) of a displacement in contact coordinates."""
         out = du.copy()
         column = self.contact.column[SAMPLE].astype(du.dtype)
         out[2, -1] += column[0] * du[0, -1] + column[1] * du[1, -1]
         return out
 
-    def contact_forces(self, force: Array, du: Array, dp: Array) -> Array:
+    def contact_forces(self, force: Array, du: Vector, dp: Vector) -> Array:
         """Vertical contact forces after the step, to first order, (2, ny + 1, nx + 1), mN."""
-        pressure = np.empty(du.shape, du.dtype)
-        scatter_divergence(
-            self.divergence, dp - self.gamma / self.volume * self.volume_change(du), pressure
-        )
+        pressure = np.empty_like(du)
+        penalty = (self.gamma / self.volume).astype(du.dtype) * self.volume_change(du)
+        scatter_divergence(self.divergence, dp - penalty, pressure)
         out = force[2, [0, -1]] + pressure[2, [0, -1]]
-        out[WINDOW] += _plane_product(self.vertical_rows[WINDOW], du[:, :2], 1)
-        out[SAMPLE] += _plane_product(self.vertical_rows[SAMPLE], du[:, -2:], 0)
+        out[WINDOW] += _vertical_product(self.vertical_rows[WINDOW], du[:, :2], 1)
+        out[SAMPLE] += _vertical_product(self.vertical_rows[SAMPLE], du[:, -2:], 0)
         out[SAMPLE] *= -1
         return out
 
-    def combine_rows(self, force: Array) -> Array:
+    def combine_rows(self, force: Vector) -> Vector:
         """Equations in contact coordinates of a Cartesian nodal force (in place)."""
         for face, k in ((WINDOW, 0), (SAMPLE, -1)):
             force[:2, k] += self.contact.row[face].astype(force.dtype) * force[2, k]
@@ -89,139 +100,128 @@ class NewtonSystem:
 def assemble(
     problem: LayerProblem,
     state: LayerState,
-    contact: ContactLinearisation,
-    force: Array,
-    volume: Array,
-    volume_ref: Array,
-    gamma: float,
-    dtype: type[np.floating],
-    storage: NDArray[np.floating] | None = None,
+    now: Balance,
+    solver: LinearSolver,
     damping: float = 0.0,
 ) -> NewtonSystem:
-    """Assemble the Newton system at ``state``.
+    """Assemble the Newton system at ``state``, which has the balance ``now``, for a linear solver.
 
-    ``storage`` is reused for the stencil if given. ``damping``, kPa / mm^2, is a resistance of each
-    volume to being displaced by the step, in the tangent alone.
+    ``damping``, kPa / mm^2, is a resistance of each volume to being displaced by the step, in the
+    tangent alone. The tangent passes through memory plane by plane of nodes, from which the solver
+    stores what it needs.
     """
-    grid = problem.grid
+    grid, contact = problem.grid, now.contact
     nz1, ny1, nx1 = grid.node_shape
-    stencil = np.empty((nz1, ny1, 27, 9, nx1), dtype) if storage is None else storage
-    divergence = np.empty((*grid.shape[:2], 24, grid.shape[2]), dtype)
-    tangent_stencil(
-        grid.nodes,
-        state.u,
-        state.p,
-        problem.c10,
-        problem.c01,
-        gamma,
-        GRADIENTS if dtype == np.float64 else GRADIENTS32,
-        stencil,
-        divergence,
-    )
-    if damping > 0:
-        for c in (0, 4, 8):
-            stencil[:, :, 13, c] += damping * grid.node_volumes
-    _to_contact_frame(stencil, contact.row, contact.column, contact.turning)
-    # A trace of lateral stiffness in the tangent alone takes the rigid motions out of a layer
-    # that nothing holds sideways; it does not enter the residual.
-    hold = 1e-6 * problem.shear_modulus * grid.spacing()[0]
-    for face, k in ((WINDOW, 0), (SAMPLE, -1)):
-        block = contact.block[face]
-        stencil[k, :, 13, 0] += block[0] + hold
-        stencil[k, :, 13, 1] += block[1]
-        stencil[k, :, 13, 3] += block[1]
-        stencil[k, :, 13, 4] += block[2] + hold
+    faces = ((WINDOW, 0), (SAMPLE, nz1 - 1))
     free, prescribed = constraints(problem, contact)
-    # the vertical equations of both faces give the contact forces after the step
-    vertical_rows = np.stack([stencil[0, :, :, 6:], stencil[-1, :, :, 6:]])
-    for face, k in ((WINDOW, 0), (SAMPLE, -1)):
-        stencil[k, :, 13, 8] += contact.spring[face]
-    sides = grid.side_nodes
-    if problem.edges == "free":
-        for c, d in np.ndindex(3, 3):
-            stencil[*sides[:2], 13, 3 * c + d, sides[2]] += contact.sides.stiffness[c, d]
+    whole = np.all(free, axis=3)
+    divergence = np.empty((*grid.shape[:2], 24, grid.shape[2]), solver.dtype)
+    residual = now.force.copy()
+    volume_residual = now.volume - now.volume_ref * (1 + state.p / problem.bulk_modulus)
     system = NewtonSystem(
-        stencil=stencil,
+        stencil=solver.stencil,
         divergence=divergence,
         contact=contact,
         free=free,
         prescribed=prescribed,
-        rhs=np.empty_like(force),
-        volume_rhs=np.empty_like(volume),
-        volume=volume_ref,
+        rhs=residual,
+        volume_rhs=volume_residual,
+        volume=now.volume_ref,
         bulk_modulus=problem.bulk_modulus,
-        gamma=gamma,
-        vertical_rows=vertical_rows,
+        gamma=solver.gamma,
+        vertical_rows=np.empty((2, ny1, 27, 3, nx1), solver.dtype),
     )
-    volume_residual = volume - volume_ref * (1 + state.p / problem.bulk_modulus)
-    residual = system.combine_rows(force.copy())
+    system.combine_rows(residual)
     if problem.edges == "free":
-        residual[:, *sides] += contact.sides.force
+        residual[:, *grid.side_nodes] += contact.sides.force
     residual[2, [0, -1]] -= contact.load
-    residual += system.pressure_force(gamma / volume_ref * volume_residual)
-    if prescribed.any():
-        x = halo_zeros(grid.node_shape, dtype)
-        y = halo_zeros(grid.node_shape, dtype)
-        interior(x)[:] = prescribed
-        multiply(stencil, x, y)
-        residual += interior(y)
-    system.rhs = np.where(free, -residual, 0.0)
-    system.volume_rhs = -volume_residual - system.volume_change(prescribed)
-    constrain(stencil, free)
+    # A trace of lateral stiffness in the tangent alone takes the rigid motions out of a layer
+    # that nothing holds sideways; it does not enter the residual.
+    hold = 1e-6 * problem.shear_modulus * grid.spacing()[0]
+    planes = tangent_planes(
+        grid.nodes, state.u, state.p, problem.c10, problem.c01, solver.gamma, divergence
+    )
+    for k, plane in enumerate(planes):
+        diagonal = plane[:, 13, :, :nx1]
+        if damping > 0:
+            diagonal[:, [0, 4, 8]] += (damping * grid.node_volumes[k])[:, None]
+        _to_contact_frame(plane, k, nz1, contact.row, contact.column, contact.turning)
+        for face, there in faces:
+            if k == there:
+                block = contact.block[face]
+                for entry, stiffness in (
+                    (0, block[0]),
+                    (1, block[1]),
+                    (3, block[1]),
+                    (4, block[2]),
+                ):
+                    diagonal[:, entry] += stiffness
+                diagonal[:, [0, 4]] += hold
+                # the vertical equations of both faces give the contact forces after the step
+                system.vertical_rows[face] = plane[:, :, 6:, :nx1]
+                diagonal[:, 8] += contact.spring[face]
+        if problem.edges == "free":
+            _add_side_stiffness(diagonal, k, grid.side_nodes, contact.sides.stiffness)
+        for face, there in faces:
+            if abs(there - k) <= 1 and prescribed[face].any():
+                dz = there - k + 1
+                columns = plane[:, 9 * dz : 9 * dz + 9, 2::3, :nx1]
+                residual[:, k] += _column_product(columns, prescribed[face])
+        if not whole[:, max(k - 1, 0) : k + 2].all():
+            constrain(plane, free, whole, k)
+        solver.store(k, plane)
+    penalty = (solver.gamma / now.volume_ref * volume_residual).astype(solver.dtype)
+    residual += system.pressure_force(penalty)
+    residual[~free] = 0.0
+    system.rhs = -residual.astype(solver.dtype)
+    du = system.with_prescribed(np.zeros(free.shape, solver.dtype))
+    system.volume_rhs = -volume_residual.astype(solver.dtype) - system.volume_change(du)
     return system
+
+
+def _add_side_stiffness(diagonal: Vector, k: int, sides: tuple, stiffness: Array) -> None:
+    """Add the stiffness of the sides' contact to the diagonal blocks of plane k."""
+    here = sides[0] == k
+    for c, d in np.ndindex(3, 3):
+        diagonal[sides[1][here], 3 * c + d, sides[2][here]] += stiffness[c, d, here]
 
 
 def constraints(
     problem: LayerProblem, contact: ContactLinearisation
 ) -> tuple[NDArray[np.bool_], Array]:
-    """Free degrees of freedom, and the prescribed step of the others (contact coordinates)."""
-    shape = (3, *problem.grid.node_shape)
-    free = np.ones(shape, bool)
-    prescribed = np.zeros(shape)
+    """Free degrees of freedom, and the prescribed step of the others: d on both faces, mm."""
+    free = np.ones((3, *problem.grid.node_shape), bool)
     free[2, [0, -1]] = ~contact.rigid
-    prescribed[2, [0, -1]] = contact.step
     if problem.edges == "roller":
         free[0, :, :, [0, -1]] = False
         free[1, :, [0, -1], :] = False
-    return free, prescribed
+    return free, contact.step
 
 
-@nb.njit(cache=True)
-def _to_contact_frame(stencil, row, column, turning):
-    """Transform the rows and columns of both surfaces and add the turning stiffness (in place)."""
-    nz1, ny1, _, _, nx1 = stencil.shape
+def _to_contact_frame(
+    plane: Vector, k: int, nz1: int, row: Array, column: Array, turning: Array
+) -> None:
+    """Transform rows and columns of a plane at the faces, add the turning stiffness (in place)."""
     top = nz1 - 1
-    for face in range(2):
-        k = face * top
-        for j in range(ny1):
-            for m in range(27):
-                for c in range(2):
-                    for d in range(3):
-                        for i in range(nx1):
-                            stencil[k, j, m, 3 * c + d, i] += (
-                                row[face, c, j, i] * stencil[k, j, m, 6 + d, i]
-                            )
-    for j in range(ny1):
-        for m in range(9):
+    nx1 = row.shape[-1]
+    for face, there in ((WINDOW, 0), (SAMPLE, top)):
+        if k == there:
             for c in range(2):
-                for d in range(3):
-                    for i in range(nx1):
-                        stencil[top, j, 9 + m, 3 * c + d, i] += turning[j, i, m, c, d]
-    for k in (top - 1, top):
-        dz = top - k + 1
-        for j in range(ny1):
-            for m in range(9 * dz, 9 * dz + 9):
-                jj = j + (m // 3) % 3 - 1
-                if jj < 0 or jj >= ny1:
-                    continue
-                for i in range(nx1):
-                    ii = i + m % 3 - 1
-                    if ii < 0 or ii >= nx1:
-                        continue
-                    for c in range(3):
-                        s = stencil[k, j, m, 3 * c + 2, i]
-                        stencil[k, j, m, 3 * c, i] += s * column[1, 0, jj, ii]
-                        stencil[k, j, m, 3 * c + 1, i] += s * column[1, 1, jj, ii]
+                factor = row[face, c].astype(plane.dtype)[:, None, None]
+                plane[:, :, 3 * c : 3 * c + 3, :nx1] += factor * plane[:, :, 6:, :nx1]
+    if k == top:
+        for c in range(2):
+            add = np.moveaxis(turning[:, :, :, c], 1, -1)
+            plane[:, 9:18, 3 * c : 3 * c + 3, :nx1] += add
+    dz = top - k + 1
+    if dz <= 2:
+        ahead = np.pad(column[SAMPLE].astype(plane.dtype), ((0, 0), (1, 1), (1, 1)))
+        for m in range(9):
+            h = ahead[:, m // 3 : m // 3 + len(plane), m % 3 : m % 3 + nx1]
+            block = plane[:, 9 * dz + m, :, :nx1]
+            for c in range(3):
+                block[:, 3 * c] += block[:, 3 * c + 2] * h[0]
+                block[:, 3 * c + 1] += block[:, 3 * c + 2] * h[1]
 
 
 @nb.njit(parallel=True, cache=True)
@@ -256,15 +256,24 @@ def scatter_divergence(divergence, p, out):
                     out[c, kk, jj, i + di] += divergence[k, j, 3 * a + c, i] * p[k, j, i]
 
 
-def _plane_product(rows: NDArray[np.floating], du: Array, first: int) -> Array:
+def _vertical_product(rows: Vector, du: Vector, first: int) -> Vector:
     """Product of the vertical rows of one face with du of the two node planes next to it."""
     _, ny1, nx1 = du.shape[1:]
     padded = np.pad(du, ((0, 0), (0, 0), (1, 1), (1, 1)))
-    out = np.zeros((ny1, nx1))
+    out = np.zeros((ny1, nx1), du.dtype)
     for plane in range(2):
-        for dy in range(3):
-            for dx in range(3):
-                m = 9 * (plane + first) + 3 * dy + dx
-                for c in range(3):
-                    out += rows[:, m, c] * padded[c, plane, dy : dy + ny1, dx : dx + nx1]
+        for dy, dx in np.ndindex(3, 3):
+            m = 9 * (plane + first) + 3 * dy + dx
+            for c in range(3):
+                out += rows[:, m, c] * padded[c, plane, dy : dy + ny1, dx : dx + nx1]
+    return out
+
+
+def _column_product(columns: Vector, step: Array) -> Vector:
+    """Forces (3, ny1, nx1) on a plane by the vertical step of a face, [y, 3 dy + dx, row, x]."""
+    ny1, _, _, nx1 = columns.shape
+    padded = np.pad(step.astype(columns.dtype), 1)
+    out = np.zeros((3, ny1, nx1), columns.dtype)
+    for dy, dx in np.ndindex(3, 3):
+        out += np.moveaxis(columns[:, 3 * dy + dx], 1, 0) * padded[dy : dy + ny1, dx : dx + nx1]
     return out
