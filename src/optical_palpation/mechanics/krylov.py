@@ -1,4 +1,4 @@
-"""The fast linear solver: flexible GMRES on displacement and pressure.
+"""The fast linear solver: GMRES on displacement and pressure.
 
 Preconditioned by the augmented-Lagrangian block-triangular factor: one multigrid V-cycle for the
 displacement block A + gamma B V^-1 B^T, and the Schur complement of the pressure in cosine modes.
@@ -27,7 +27,7 @@ _LONGEST = 40
 
 
 class MultigridSolver:
-    """Solve Newton systems of one grid by preconditioned FGMRES; work grows with the unknowns."""
+    """Solve Newton systems of one grid by preconditioned GMRES; work grows with the unknowns."""
 
     dtype: ClassVar[type[np.floating]] = np.float32
 
@@ -83,10 +83,9 @@ class MultigridSolver:
             return out
 
         # The uniform pressure is the mode that cosine modes miss most (a layer with nowhere to go
-        # answers to it with its bulk modulus alone): it is solved for exactly.
+        # answers to it with its bulk modulus alone): it is solved for by itself.
         inside[:] = free * system.pressure_force(np.ones_like(volume))
-        response = interior(self.hierarchy.cycle(x), shape).copy()
-        uniform = float(system.volume_change(response).sum() + compressibility.sum())
+        uniform = self.hierarchy.compliance(x) + float(compressibility.sum())
         total = float(volume.sum())
 
         def precondition(v: Vector) -> Vector:
@@ -101,13 +100,15 @@ class MultigridSolver:
             return out
 
         rhs = np.concatenate([system.rhs.ravel(), (weight * system.volume_rhs).ravel()])
-        solution, iterations = fgmres(operator, precondition, rhs, tolerance, _LONGEST)
+        solution, iterations = gmres(operator, precondition, rhs, tolerance, _LONGEST)
         u, p = split(solution)
         return system.with_prescribed(u), p, iterations
 
 
-def fgmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
-    """Flexible GMRES from a zero guess, without restart.
+def gmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
+    """GMRES from a zero guess, without restart, preconditioned from the right.
+
+    The preconditioner is linear, so that preconditioned vectors need not be kept.
 
     Returns the solution and the number of iterations, each one product and one preconditioning.
     """
@@ -116,16 +117,14 @@ def fgmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
         return np.zeros_like(rhs), 0
     # not touched, and so not in memory, before it is needed
     basis = np.empty((longest + 1, rhs.size), rhs.dtype)
-    steps = np.empty((longest, rhs.size), rhs.dtype)
-    basis[0] = rhs / rhs.dtype.type(size)
+    np.divide(rhs, rhs.dtype.type(size), out=basis[0])
     h = np.zeros((longest + 1, longest))
     g = np.zeros(longest + 1)
     g[0] = size
     rotations: list[tuple[float, float]] = []
     n = 0
     for n in range(1, longest + 1):
-        steps[n - 1] = precondition(basis[n - 1])
-        w = operator(steps[n - 1])
+        w = operator(precondition(basis[n - 1]))
         along = basis[:n] @ w
         w -= along @ basis[:n]
         h[:n, n - 1] = along
@@ -144,4 +143,4 @@ def fgmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
         if abs(g[n]) <= tolerance * size:
             break
     y = np.linalg.solve(h[:n, :n], g[:n])
-    return y.astype(rhs.dtype) @ steps[:n], n
+    return precondition(y.astype(rhs.dtype) @ basis[:n]), n

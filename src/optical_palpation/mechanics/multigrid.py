@@ -182,21 +182,39 @@ class Hierarchy:
 
     def cycle(self, b: Vector) -> Vector:
         """One V-cycle from zero for the right-hand side ``b`` (with halo); the result is reused."""
-        fine = self.levels[0]
-        fine.b[:] = b
-        for level, coarser in pairwise(self.levels):
+        self.levels[0].b[:] = b
+        self._cycle(0)
+        return self.levels[0].x
+
+    def compliance(self, b: Vector) -> float:
+        """Return b^T A^-1 b for a smooth ``b`` (with halo), by a V-cycle on the second level."""
+        finest = self.levels[0]
+        if len(self.levels) == 1:
+            return float(np.vdot(b, self.cycle(b)))
+        second = self.levels[1]
+        with st.threads_for(finest.node_shape):
+            st.restrict(b, second.b, *_to_coarse(finest))
+        self._cycle(1)
+        return float(np.vdot(second.b, second.x))
+
+    def _cycle(self, first: int) -> None:
+        """One V-cycle on the levels from ``first`` on, from the ``b`` of that to its ``x``."""
+        levels = self.levels[first:]
+        for level, coarser in pairwise(levels):
             with st.threads_for(level.node_shape):
                 level.smooth(from_zero=True)
                 st.subtract_product(level.stencil, level.x, level.b, level.r)
-                to_coarse = (a for t in level.transfers for a in (t.first, t.table))
-                st.restrict(level.r, coarser.b, *to_coarse)
-        coarsest = self.levels[-1]
+                st.restrict(level.r, coarser.b, *_to_coarse(level))
+        coarsest = levels[-1]
         rhs = np.where(self._free, st.interior(coarsest.b, coarsest.node_shape), 0).ravel()
         solution = scipy.linalg.lu_solve(self._lu, rhs, check_finite=False)
         st.interior(coarsest.x, coarsest.node_shape)[:] = solution.reshape(self._free.shape)
-        for coarser, level in pairwise(self.levels[::-1]):
+        for coarser, level in pairwise(levels[::-1]):
             with st.threads_for(level.node_shape):
                 to_fine = (a for t in level.transfers for a in (t.low, t.weight))
                 st.prolong_add(coarser.x, level.x, *to_fine)
                 level.smooth(from_zero=False)
-        return fine.x
+
+
+def _to_coarse(level: Level) -> list[NDArray]:
+    return [a for t in level.transfers for a in (t.first, t.table)]
