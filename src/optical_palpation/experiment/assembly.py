@@ -85,13 +85,13 @@ def build(
         (slave, (bodies_sample.nodes[:, 0] if side > 0 else bodies_layer.nodes[:, -1])),
         (sample_grid, bodies_sample.nodes[:, -1]),
     )
-    element_height, _, width = layer_grid.spacing()
+    element_height, _, width = layer_grid.spacing
     window, interface, base = (grid.surface_areas(nodes).ravel() for grid, nodes in surfaces)
     return Assembly(
         bodies=(bodies_layer, bodies_sample),
         contacts=(
             Plane(number[0].ravel(), -1.0, friction.window),
-            Interface(faces[0], faces[1], friction.sample, side, start, master.spacing()[2]),
+            Interface(faces[0], faces[1], friction.sample, side, start, master.spacing[2]),
             Plane(below[-1].ravel(), 1.0, friction.plate),
         ),
         sides=Sides(

@@ -73,7 +73,7 @@ class Assembly:
     @property
     def scales(self) -> list[Array]:
         """Scale c of the law of each contact, mN / mm."""
-        height = self.bodies[LAYER].grid.spacing()[0]
+        height = self.bodies[LAYER].grid.spacing[0]
         return [area * self.shear_modulus / height for area in self.areas]
 
     def position(self, u: Array) -> Array:
@@ -212,7 +212,7 @@ def newton_step(
         force[start : start + body.n_nodes] += extra.reshape(3, -1).T
     residual = now.internal + force
     # a trace of stiffness in the tangent alone holds what nothing else holds yet
-    hold = 1e-6 * assembly.shear_modulus * assembly.bodies[LAYER].grid.spacing()[2]
+    hold = 1e-6 * assembly.shear_modulus * assembly.bodies[LAYER].grid.spacing[2]
     held = np.full((assembly.n_nodes, 3), hold)
     held[assembly.sides.nodes, 2] += assembly.sides.force(assembly.position(state.u))[1]
     matrix = _stacked(blocks) + contact + _diagonal(held)

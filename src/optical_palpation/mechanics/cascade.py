@@ -21,7 +21,6 @@ from .multigrid import coarse_nodes
 from .newton import Balance, LinearSolver, NotConverged, Tolerances, equilibrate, on_the_way
 from .path import LoadNotReached, StepControl, follow
 from .problem import LayerProblem, LayerState
-from .stencil import threads_for
 
 Array = NDArray[np.float64]
 
@@ -64,7 +63,7 @@ def coarsened(problem: LayerProblem) -> LayerProblem:
     """
     grid = problem.grid
     divisible = np.array(grid.shape) > (3, 5, 5)
-    sizes = np.array(grid.spacing())
+    sizes = np.array(grid.spacing)
     halve = divisible & (sizes < 1.6 * sizes[divisible].min())
     depth = grid.depth[coarse_nodes(grid.shape[0], bool(halve[0]))]
     edge = edge_width(depth, float(np.median(grid.thickness)))
@@ -144,9 +143,8 @@ def solve(
         """Bring a state near full load into equilibrium; None where it is too far away."""
         report = partial(on_iteration, level, 1.0) if on_iteration else None
         try:
-            with threads_for(level.grid.node_shape):
-                linear = make_solver(level, solver)
-                count = equilibrate(level, state, linear, wanted(level), report)
+            linear = make_solver(level, solver)
+            count = equilibrate(level, state, linear, wanted(level), report)
         except NotConverged:
             return None
         record.append((level.grid.n_elements, 1.0, count))
@@ -166,8 +164,7 @@ def solve(
             report = partial(on_iteration, level) if on_iteration else None
             linear = make_solver(level, solver)
             try:
-                with threads_for(level.grid.node_shape):
-                    state, steps = follow(level, linear, wanted(level), rest, full, control, report)
+                state, steps = follow(level, linear, wanted(level), rest, full, control, report)
             except LoadNotReached:
                 if level is problem:
                     raise

@@ -106,7 +106,7 @@ def complementarity_scale(problem: LayerProblem) -> Array:
     """Scale c of the complementarity equation, mN / mm, shape (ny + 1, nx + 1)."""
     grid = problem.grid
     areas = grid.surface_areas(grid.nodes[:, -1])
-    return areas * problem.shear_modulus / grid.spacing()[0]
+    return areas * problem.shear_modulus / grid.spacing[0]
 
 
 def slip_coordinate(problem: LayerProblem, state: LayerState) -> Array:
@@ -160,7 +160,7 @@ def linearise(
     reaction = np.stack([force[2, 0], -force[2, -1]])
 
     c = complementarity_scale(problem)
-    eps = np.broadcast_to(smoothing * c * problem.grid.spacing()[0], (2, *c.shape)).copy()
+    eps = np.broadcast_to(smoothing * c * problem.grid.spacing[0], (2, *c.shape)).copy()
     # with the load, so that the unloaded layer is free of stress
     eps[WINDOW][problem.grid.rim] *= max(1.0, state.load * problem.rim_smoothing / smoothing)
     t = normal + c * penetration
@@ -225,7 +225,7 @@ def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     count = nodes[0].size if problem.edges == "free" else 0
     x, y, z = (grid.nodes[c][nodes][:count] + state.u[c][nodes][:count] for c in range(3))
     h, hx, hy, hxx, hxy, hyy = problem.imprint.evaluate(x, y, state.load)
-    _, dy, dx = grid.spacing()
+    _, dy, dx = grid.spacing
     above = grid.depth[nodes[0][:count]]
     first = np.array([[grid.depth[1]], [1 - grid.depth[-2]]])
     band = np.minimum(np.stack([above, 1 - above]), np.maximum(first, _SIDE_BAND))

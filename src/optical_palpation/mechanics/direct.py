@@ -77,7 +77,7 @@ def pardiso(**options: Any) -> Any:
     return pypardiso.PyPardisoSolver(**options)
 
 
-def sparse_matrix(stencil: NDArray[np.floating], free: NDArray[np.bool_]) -> sp.csr_matrix:
+def sparse_matrix(stencil: Vector, free: NDArray[np.bool_]) -> sp.csr_matrix:
     """Matrix of a constrained block stencil, with a unit-like diagonal where it is constrained."""
     rows, columns, source = _pattern(free.shape[1:])
     matrix = sp.csr_matrix(
@@ -87,7 +87,17 @@ def sparse_matrix(stencil: NDArray[np.floating], free: NDArray[np.bool_]) -> sp.
     return sp.csr_matrix(matrix + sp.diags_array(np.where(free.ravel(), 0.0, scale)))
 
 
-@lru_cache(maxsize=2)
+def dense_matrix(stencil: Vector, free: NDArray[np.bool_]) -> Vector:
+    """Return ``sparse_matrix`` as an array."""
+    rows, columns, source = _pattern(free.shape[1:])
+    matrix = np.zeros((free.size, free.size), stencil.dtype)
+    matrix[rows, columns] = stencil.reshape(-1)[source]
+    diagonal = np.einsum("ii->i", matrix)
+    diagonal[~free.ravel()] = np.abs(diagonal).mean()
+    return matrix
+
+
+@lru_cache(maxsize=4)
 def _pattern(node_shape: tuple[int, int, int]) -> tuple[NDArray, NDArray, NDArray]:
     """Rows, columns and positions in the stencil of all entries that lie inside the grid."""
     nz1, ny1, nx1 = node_shape

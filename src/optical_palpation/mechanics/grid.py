@@ -99,6 +99,7 @@ class LayerGrid:
         )
         return y[:, None] | x
 
+    @cached_property
     def spacing(self) -> tuple[float, float, float]:
         """Typical (median) element sizes (z, y, x), mm."""
         return (

@@ -55,6 +55,8 @@ class Imprint:
         widths = (sigma / (self.y[1] - self.y[0]), sigma / (self.x[1] - self.x[0]))
 
         def smooth(field: Array) -> Array:
+            if np.ptp(field) == 0:  # a layer of one thickness
+                return field
             return gaussian_filter(field, widths, mode="nearest", axes=(-2, -1))
 
         motion = None if self.motion is None else smooth(self.motion)

@@ -35,7 +35,7 @@ class MultigridSolver:
         self.gamma = _GAMMA * shear_modulus
         self.shear_modulus = shear_modulus
         self.hierarchy = Hierarchy((grid.depth * float(np.median(grid.thickness)), grid.y, grid.x))
-        self.schur = SchurComplement(grid.shape, grid.spacing(), shear_modulus, self.gamma)
+        self.schur = SchurComplement(grid.shape, grid.spacing, shear_modulus, self.gamma)
 
     @property
     def stencil(self) -> Stencil:
@@ -44,7 +44,8 @@ class MultigridSolver:
 
     def store(self, k: int, plane: Vector) -> None:
         """Take plane k of the displacement block."""
-        store(plane, self.stencil, k)
+        with threads_for(self.hierarchy.levels[0].node_shape):
+            store(plane, self.stencil, k)
 
     def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Vector, Vector, int]:
         """Return the step (du in contact coordinates, dp) and the number of iterations.

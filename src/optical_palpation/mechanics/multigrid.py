@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from . import stencil as st
-from .direct import sparse_matrix
+from .direct import dense_matrix
 
 Vector = NDArray[np.float32]
 
@@ -174,8 +174,7 @@ class Hierarchy:
                 )
         coarsest = self.levels[-1]
         self._free = free
-        matrix = sparse_matrix(st.expanded(coarsest.stencil, coarsest.node_shape[2]), free)
-        dense = matrix.toarray().astype(np.float32)
+        dense = dense_matrix(st.expanded(coarsest.stencil, coarsest.node_shape[2]), free)
         # too small for threads, which on busy cores wait for one another a hundred times as long
         with self._libraries.limit(limits=1, user_api="blas"):
             self._lu = scipy.linalg.lu_factor(dense, check_finite=False)

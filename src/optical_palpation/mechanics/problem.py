@@ -121,5 +121,5 @@ class LayerState:
         nodes = problem.grid.nodes + self.u
         height = problem.imprint.evaluate(nodes[0, -1], nodes[1, -1], self.load)[0]
         gap = np.stack([nodes[2, 0], height - nodes[2, -1]])
-        scale = problem.shear_modulus / problem.grid.spacing()[0]
+        scale = problem.shear_modulus / problem.grid.spacing[0]
         return self.normal_force > scale * problem.grid.surface_areas(nodes[:, -1]) * gap

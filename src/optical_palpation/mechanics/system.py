@@ -137,7 +137,7 @@ def assemble(
     residual[2, [0, -1]] -= contact.load
     # A trace of lateral stiffness in the tangent alone takes the rigid motions out of a layer
     # that nothing holds sideways; it does not enter the residual.
-    hold = 1e-6 * problem.shear_modulus * grid.spacing()[0]
+    hold = 1e-6 * problem.shear_modulus * grid.spacing[0]
     planes = tangent_planes(
         grid.nodes, state.u, state.p, problem.c10, problem.c01, solver.gamma, divergence
     )

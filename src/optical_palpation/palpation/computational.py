@@ -194,7 +194,7 @@ def computational_stress(
         "window_friction": float(window_friction),
         "sample_friction": float(sample_friction),
         "initial_thickness_mm": float(initial.where(inside_layer(loaded)).mean()),
-        "element_size_mm": list(problem.grid.spacing()[::-1]),
+        "element_size_mm": list(problem.grid.spacing[::-1]),
         "elements": list(problem.grid.shape[::-1]),
         "edges": edges,
         "imprint_smoothing_mm": smoothing,

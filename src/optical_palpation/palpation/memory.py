@@ -76,7 +76,7 @@ def check_memory(problem: LayerProblem, solver: str = "multigrid") -> None:
     usable = _USABLE * available
     if needed <= usable:
         return
-    spacing = problem.grid.spacing()[::-1]
+    spacing = problem.grid.spacing[::-1]
     advice = "free some memory"
     factor = 1.0
     while factor < 64:
