@@ -23,7 +23,7 @@ Vector = NDArray[np.floating]
 #: Penalty of the displacement block in units of the shear modulus.
 _GAMMA = 3.0
 #: Krylov iterations at which a linear solve ends whatever it has reached.
-_LONGEST = 40
+_LONGEST = 25
 
 
 class MultigridSolver:

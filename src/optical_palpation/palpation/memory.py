@@ -6,9 +6,11 @@ from pathlib import Path
 
 from optical_palpation.errors import InsufficientMemoryError
 from optical_palpation.mechanics.problem import LayerProblem
+from optical_palpation.mechanics.stencil import padded
 
-#: Bytes per node at the peak of a run by multigrid: stencils, vectors of the Krylov method, states.
-_MULTIGRID = 3400.0
+#: Bytes per node at the peak of a run by multigrid: stencils, vectors of the Krylov method, states;
+#: and per node of a face.
+_MULTIGRID, _FACE = 1450.0, 3000.0
 #: Bytes of such a run whatever its size.
 _FIXED = 1.2e7
 #: Bytes per node of the sparse matrix on its way to the direct solver, and per node and node of
@@ -30,15 +32,15 @@ def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> 
 
     Notes
     -----
-    An estimate with constants that were measured on problems that use all the Krylov vectors they
-    may; what it says of thin layers (fewer elements through the thickness than along the sides) is
-    within -10 and +35 %, for easy problems up to +60 %.
+    An estimate with constants that were measured; what it says of thin layers (fewer elements
+    through the thickness than along the sides) is within -10 and +35 %.
     """
     nz1, ny1, nx1 = (n + 1 for n in shape)
     nodes = nz1 * ny1 * nx1
     if solver == "direct":
         return nodes * (_MATRIX + _FACTORS * nz1 * min(nx1, ny1).bit_length())
-    return nodes * _MULTIGRID + _FIXED
+    rows = nz1 * ny1 * padded(nx1)
+    return rows * _MULTIGRID + rows / nz1 * _FACE + _FIXED
 
 
 def available_memory() -> float:
