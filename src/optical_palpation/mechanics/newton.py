@@ -104,6 +104,12 @@ _SMOOTHING = (3e-3, 1e-3)
 _STAGNATION = 12
 
 
+#: A step must leave less out of balance than the most of so many iterations. Pressures that grow
+#: from nothing to what fits the layer between the surfaces, and friction that turns round, leave
+#: more for a step or two; steps cut short for that get nowhere.
+_MEMORY = 4
+
+
 #: Least damping of a step that otherwise fails, in shear moduli per thickness squared, and how
 #: often a step is tried.
 _DAMPING, _ATTEMPTS = 30.0, 6
@@ -118,7 +124,8 @@ class Balance:
     """Internal forces, volumes and contact of a state, and how far it is from equilibrium.
 
     ``force`` are the internal nodal forces (x, y, z), ``residual`` what is out of balance of the
-    equations in contact coordinates, both (3, nz + 1, ny + 1, nx + 1), mN.
+    equations in contact coordinates, both (3, nz + 1, ny + 1, nx + 1), mN. ``imbalance`` is the
+    2-norm of all that is out of balance, mN, ``force_error`` its share of the contact forces.
     """
 
     force: Array
@@ -127,6 +134,7 @@ class Balance:
     volume_ref: Array
     contact: ContactLinearisation
     min_jacobian: float
+    imbalance: float
     force_error: float
     volume_error: float
 
@@ -168,8 +176,7 @@ def balance(
     if problem.edges == "roller":
         out[0, :, :, [0, -1]] = 0.0
         out[1, :, [0, -1], :] = 0.0
-    scale = max(float(np.linalg.norm(state.normal_force)), 1e-30)
-    error = np.hypot(np.linalg.norm(out), np.linalg.norm(contact.violation)) / scale
+    imbalance = float(np.hypot(np.linalg.norm(out), np.linalg.norm(contact.violation)))
     return Balance(
         force=force,
         residual=out,
@@ -177,7 +184,8 @@ def balance(
         volume_ref=volume_ref,
         contact=contact,
         min_jacobian=float(jacobian.min()),
-        force_error=float(error),
+        imbalance=imbalance,
+        force_error=imbalance / max(float(np.linalg.norm(state.normal_force)), 1e-30),
         volume_error=float(
             np.sqrt(np.mean((volume / volume_ref - 1 - state.p / problem.bulk_modulus) ** 2))
         ),
@@ -192,11 +200,14 @@ def _search(
     smoothing: float,
     system: NewtonSystem,
     solution: tuple[NDArray[np.floating], NDArray[np.floating]],
+    highest: float,
     lenient: bool,
 ) -> tuple[Balance, Array, float] | None:
     """Take the largest fraction of a Newton step that leads on (``state`` changed in place).
 
-    The error must fall with the fraction, or, where ``lenient``, at most double.
+    What it leaves out of balance must be less than ``highest``, the more so the larger the
+    fraction, or, where ``lenient``, less than twice that. Forces are compared, not shares of the
+    contact forces: a step that takes these away would never lead on.
 
     Returns
     -------
@@ -219,7 +230,7 @@ def _search(
         growth = 2.0 if lenient else 1 - 0.3 * fraction
         if (
             after.min_jacobian > _FLATTENING * now.min_jacobian
-            and after.force_error < growth * now.force_error
+            and after.imbalance < growth * highest
         ):
             state.u, state.p, state.normal_force = trial.u, trial.p, trial.normal_force
             return after, turned, fraction
@@ -250,6 +261,7 @@ def equilibrate(
     now = balance(problem, state, smoothing, direction)
     krylov = 0
     errors: list[float] = []
+    imbalances: list[float] = []
     linear = tolerances.linear
     least = _DAMPING * problem.shear_modulus / float(np.median(problem.grid.thickness)) ** 2
     damping = 0.0
@@ -257,6 +269,7 @@ def equilibrate(
         if on_iteration:
             on_iteration(iteration, now, krylov)
         errors.append(now.force_error)
+        imbalances.append(now.imbalance)
         if iteration >= _STAGNATION and errors[-1] > 0.3 * errors[-_STAGNATION]:
             raise NotConverged("Newton's method stagnates")
         if (
@@ -276,7 +289,10 @@ def equilibrate(
             # The first step crosses the new load and a damped one a snap: both may leave more out
             # of balance than they found.
             lenient = iteration == 0 or damping > 0
-            found = _search(problem, state, now, direction, smoothing, system, (du, dp), lenient)
+            highest = max(imbalances[-_MEMORY:])
+            found = _search(
+                problem, state, now, direction, smoothing, system, (du, dp), highest, lenient
+            )
             if found is not None:
                 break
             damping = max(least, 5.0 * damping)
@@ -287,7 +303,7 @@ def equilibrate(
         linear = (
             tolerances.linear if fraction == 1.0 else max(0.1 * linear, 1e-3 * tolerances.linear)
         )
-        damping *= 0.5 * min(1.0, after.force_error / now.force_error)
+        damping *= 0.5 * min(1.0, after.imbalance / now.imbalance)
         if damping < 0.1 * least:
             damping = 0.0
         now = after
