@@ -96,8 +96,9 @@ def on_the_way(tolerances: Tolerances, problem: LayerProblem) -> Tolerances:
     )
 
 
-#: Smoothing of contact, as a pressure in units of the shear modulus: at first, and in the end.
-_SMOOTHING = (3e-3, 1e-3)
+#: Smoothing of contact, as a pressure in units of the shear modulus; from the first iteration on,
+#: because the pressure of a layer with nowhere to go depends on it and would be sought twice.
+_SMOOTHING = 1e-3
 
 
 #: Newton iterations in which the error must fall, or a smaller load is tried.
@@ -143,12 +144,7 @@ class NotConverged(Exception):
     """Newton's method failed at this load; carries the reason."""
 
 
-def balance(
-    problem: LayerProblem,
-    state: LayerState,
-    smoothing: float = _SMOOTHING[1],
-    direction: Array | None = None,
-) -> Balance:
+def balance(problem: LayerProblem, state: LayerState, direction: Array | None = None) -> Balance:
     """Evaluate equilibrium, incompressibility and contact at a state (see ``linearise``)."""
     grid = problem.grid
     force = np.empty(state.u.shape)
@@ -166,7 +162,7 @@ def balance(
         volume_ref,
         jacobian,
     )
-    contact = linearise(problem, state, force, smoothing, direction)
+    contact = linearise(problem, state, force, _SMOOTHING, direction)
     out = force.copy()
     for face, k, sign in ((WINDOW, 0, -1.0), (SAMPLE, -1, 1.0)):
         out[:2, k] += contact.row[face] * force[2, k]
@@ -197,7 +193,6 @@ def _search(
     state: LayerState,
     now: Balance,
     direction: Array,
-    smoothing: float,
     system: NewtonSystem,
     solution: tuple[NDArray[np.floating], NDArray[np.floating]],
     highest: float,
@@ -226,7 +221,7 @@ def _search(
         trial.normal_force = state.normal_force + fraction * change
         turned = direction + fraction * turn
         turned /= np.maximum(1.0, np.sqrt((turned**2).sum(1, keepdims=True)))
-        after = balance(problem, trial, smoothing, turned)
+        after = balance(problem, trial, turned)
         growth = 2.0 if lenient else 1 - 0.3 * fraction
         if (
             after.min_jacobian > _FLATTENING * now.min_jacobian
@@ -256,9 +251,8 @@ def equilibrate(
     NotConverged
         When the iterations run out, an element turns inside out or numbers overflow.
     """
-    smoothing = _SMOOTHING[0]
     direction = friction_direction(state.slip)
-    now = balance(problem, state, smoothing, direction)
+    now = balance(problem, state, direction)
     krylov = 0
     errors: list[float] = []
     imbalances: list[float] = []
@@ -274,7 +268,6 @@ def equilibrate(
             raise NotConverged("Newton's method stagnates")
         if (
             iteration > 0
-            and smoothing == _SMOOTHING[1]
             and now.force_error < tolerances.force
             and now.volume_error < tolerances.volume
         ):
@@ -290,9 +283,7 @@ def equilibrate(
             # of balance than they found.
             lenient = iteration == 0 or damping > 0
             highest = max(imbalances[-_MEMORY:])
-            found = _search(
-                problem, state, now, direction, smoothing, system, (du, dp), highest, lenient
-            )
+            found = _search(problem, state, now, direction, system, (du, dp), highest, lenient)
             if found is not None:
                 break
             damping = max(least, 5.0 * damping)
@@ -307,12 +298,8 @@ def equilibrate(
         if damping < 0.1 * least:
             damping = 0.0
         now = after
-        if now.force_error < 0.3 * smoothing and smoothing > _SMOOTHING[1]:
-            smoothing = max(_SMOOTHING[1], 0.2 * smoothing)
-            now = balance(problem, state, smoothing, direction)
     if (
-        smoothing == _SMOOTHING[1]
-        and now.force_error < tolerances.acceptable * tolerances.force
+        now.force_error < tolerances.acceptable * tolerances.force
         and now.volume_error < tolerances.acceptable * tolerances.volume
     ):
         return tolerances.iterations
