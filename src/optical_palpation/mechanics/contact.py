@@ -53,7 +53,12 @@ Array = NDArray[np.float64]
 #: a node that turns round does not first have to slip all the way back.
 _MEMORY = 10.0
 #: A contact spring stiffer than this many times its scale c is a prescribed displacement.
-_RIGID = 1e3
+_STIFF = 1e3
+#: Between rollers, where the layer resists with its bulk modulus, it must be stiffer than this many
+#: times c K / mu. A softer one taken as rigid made Newton's method swing between too much pressure
+#: and too little. It is sought from where it would be if rigid, or all else drowns in its force.
+#: With free edges such springs would only make linear systems harder.
+_RIGID = 10.0
 #: Penalty of the sides in shear moduli per element height, and the gap at which it begins as a
 #: share of the height that the outermost element would have if the layer were pressed evenly. Nodes
 #: that are caught only where they touch snap down one after the other along the edge.
@@ -73,7 +78,8 @@ class ContactLinearisation:
     2, 3; imprint only) the lateral stiffness by which contact forces turn with the element faces,
     over the neighbours 3 (dy + 1) + (dx + 1); ``spring`` the stiffness of the
     contact coordinate d, ``load`` the right-hand side that belongs to it; where ``rigid``, d is
-    prescribed as ``step`` instead. ``violation`` is psi, mN. ``sides`` is the contact of the sides.
+    prescribed as ``step`` instead, elsewhere ``step`` is what d is sought from. ``violation`` is
+    psi, mN. ``sides`` is the contact of the sides.
     """
 
     penetration: Array
@@ -167,12 +173,15 @@ def linearise(
     s_value, other = smooth_maximum(t, eps)
     slope = 1 - other
     violation = normal - s_value
-    rigid = slope > _RIGID * other
+    stiff = slope > _STIFF * other
+    rigid = stiff
+    if problem.edges == "roller":
+        rigid = stiff & (slope > _RIGID * problem.bulk_modulus / problem.shear_modulus * other)
     other = np.where(rigid, 1.0, other)
     spring = np.where(rigid, 0.0, slope * c / other)
     sign = np.array([-1.0, 1.0])[:, None, None]  # d is z: penetration grows with -d at the window
     load = np.where(rigid, 0.0, sign * (violation / other - normal))
-    step = np.where(rigid, sign * violation / (slope * c), 0.0)
+    step = np.where(stiff, sign * violation / (np.where(stiff, slope, 1.0) * c), 0.0)
 
     w = slip_coordinate(problem, state)
     q = np.sqrt(1 + (w**2).sum(1))

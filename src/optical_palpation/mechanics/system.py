@@ -39,8 +39,9 @@ class NewtonSystem:
         (A + gamma B V^-1 B^T) du + (1 - gamma / K) B dp = rhs
         B^T du - (V / K) dp                              = volume_rhs
 
-    for the free unknowns, the ``prescribed`` step of the others, d on both faces, taken into
-    account. All are in the solver's precision: only residuals need more.
+    for the free unknowns, beyond the ``prescribed`` step of d on both faces: that of the others, and
+    where the search for those of stiff contact springs begins. All are in the solver's precision:
+    only residuals need more.
     """
 
     stencil: Any
@@ -189,7 +190,7 @@ def _add_side_stiffness(diagonal: Vector, k: int, sides: tuple, stiffness: Array
 def constraints(
     problem: LayerProblem, contact: ContactLinearisation
 ) -> tuple[NDArray[np.bool_], Array]:
-    """Free degrees of freedom, and the prescribed step of the others: d on both faces, mm."""
+    """Free degrees of freedom, and the step of d on both faces prescribed or sought from, mm."""
     free = np.ones((3, *problem.grid.node_shape), bool)
     free[2, [0, -1]] = ~contact.rigid
     if problem.edges == "roller":
