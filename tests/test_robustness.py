@@ -13,6 +13,13 @@ def test_random_maps_converge_or_fail_as_documented(number):
     assert outcome.allowed, f"{outcome.kind}: {outcome.text}"
 
 
+@pytest.mark.parametrize("number", [132, 153, 167, 166])
+def test_layers_with_nowhere_to_go_and_great_compression_converge(number):
+    outcome = robustness.attempt(robustness.random_case(number))
+    assert outcome.kind == "converged", outcome.text
+    assert outcome.newton < 60
+
+
 def test_the_random_maps_are_what_they_claim_to_be():
     cases = [robustness.random_case(n) for n in range(200)]
     assert {c.relief for c in cases} == set(robustness.RELIEFS)

@@ -39,9 +39,9 @@ class NewtonSystem:
         (A + gamma B V^-1 B^T) du + (1 - gamma / K) B dp = rhs
         B^T du - (V / K) dp                              = volume_rhs
 
-    for the free unknowns, beyond the ``prescribed`` step of d on both faces: that of the others, and
-    where the search for those of stiff contact springs begins. All are in the solver's precision:
-    only residuals need more.
+    for the free unknowns, beyond the ``prescribed`` step of d on both faces: that of the others,
+    and where the search for those of stiff contact springs begins. All are in the solver's
+    precision: only residuals need more.
     """
 
     stencil: Any
