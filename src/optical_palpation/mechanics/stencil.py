@@ -107,27 +107,63 @@ def _product(stencil, x, k, j, i0, out):
     for m in range(9):
         kk, jj = k + m // 3, j + m % 3
         x0, x1, x2 = x[0, kk, jj], x[1, kk, jj], x[2, kk, jj]
-        for c in range(3):
-            q = (27 * m + 3 * c) * L
-            for l in range(L):
-                i = (i0 + l) & LARGEST
-                out[c * L + l] += (
-                    (
-                        nb.float32(s[q + l]) * x0[i]
-                        + nb.float32(s[q + L + l]) * x1[i]
-                        + nb.float32(s[q + 2 * L + l]) * x2[i]
-                    )
-                    + (
-                        nb.float32(s[q + 9 * L + l]) * x0[i + 1]
-                        + nb.float32(s[q + 10 * L + l]) * x1[i + 1]
-                        + nb.float32(s[q + 11 * L + l]) * x2[i + 1]
-                    )
-                    + (
-                        nb.float32(s[q + 18 * L + l]) * x0[i + 2]
-                        + nb.float32(s[q + 19 * L + l]) * x1[i + 2]
-                        + nb.float32(s[q + 20 * L + l]) * x2[i + 2]
-                    )
+        q = 27 * m * L
+        for l in range(L):
+            i = (i0 + l) & LARGEST
+            a0, a1, a2 = x0[i], x1[i], x2[i]
+            b0, b1, b2 = x0[i + 1], x1[i + 1], x2[i + 1]
+            c0, c1, c2 = x0[i + 2], x1[i + 2], x2[i + 2]
+            out[l] += (
+                (
+                    nb.float32(s[q + l]) * a0
+                    + nb.float32(s[q + 1 * L + l]) * a1
+                    + nb.float32(s[q + 2 * L + l]) * a2
                 )
+                + (
+                    nb.float32(s[q + 9 * L + l]) * b0
+                    + nb.float32(s[q + 10 * L + l]) * b1
+                    + nb.float32(s[q + 11 * L + l]) * b2
+                )
+                + (
+                    nb.float32(s[q + 18 * L + l]) * c0
+                    + nb.float32(s[q + 19 * L + l]) * c1
+                    + nb.float32(s[q + 20 * L + l]) * c2
+                )
+            )
+            out[1 * L + l] += (
+                (
+                    nb.float32(s[q + 3 * L + l]) * a0
+                    + nb.float32(s[q + 4 * L + l]) * a1
+                    + nb.float32(s[q + 5 * L + l]) * a2
+                )
+                + (
+                    nb.float32(s[q + 12 * L + l]) * b0
+                    + nb.float32(s[q + 13 * L + l]) * b1
+                    + nb.float32(s[q + 14 * L + l]) * b2
+                )
+                + (
+                    nb.float32(s[q + 21 * L + l]) * c0
+                    + nb.float32(s[q + 22 * L + l]) * c1
+                    + nb.float32(s[q + 23 * L + l]) * c2
+                )
+            )
+            out[2 * L + l] += (
+                (
+                    nb.float32(s[q + 6 * L + l]) * a0
+                    + nb.float32(s[q + 7 * L + l]) * a1
+                    + nb.float32(s[q + 8 * L + l]) * a2
+                )
+                + (
+                    nb.float32(s[q + 15 * L + l]) * b0
+                    + nb.float32(s[q + 16 * L + l]) * b1
+                    + nb.float32(s[q + 17 * L + l]) * b2
+                )
+                + (
+                    nb.float32(s[q + 24 * L + l]) * c0
+                    + nb.float32(s[q + 25 * L + l]) * c1
+                    + nb.float32(s[q + 26 * L + l]) * c2
+                )
+            )
     x0, x1, x2 = x[0, k + 1, j + 1], x[1, k + 1, j + 1], x[2, k + 1, j + 1]
     f, d = stencil.scale[k, j, block], stencil.diagonal[k, j, block]
     for c in range(3):
