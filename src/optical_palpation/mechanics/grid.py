@@ -13,7 +13,9 @@ from scipy.ndimage import map_coordinates
 Array = NDArray[np.float64]
 
 #: Width of the outermost elements of a free side, in thicknesses of the layer: what the stress-free
-#: side does to the layer's total force is resolved to about 1 %.
+#: side does to the layer's total force is resolved to about 1 %. Smaller ones fold in on themselves
+#: where the rim rolls at the window, and so do flatter ones: with free sides, the elements at the
+#: window are at least as high.
 EDGE = 0.04
 #: Width of the rim of a layer, in thicknesses.
 RIM = 0.1
@@ -156,9 +158,11 @@ def node_positions(
     """Node coordinates from ``origin`` over ``length`` with elements of about ``size``.
 
     They are uniform, but for ``edge``: the width of the two outermost elements, from which the
-    widths double inwards until they reach ``size``.
+    widths double inwards until they reach ``size``; a wider one stands alone.
     """
     widths: list[float] = []
+    if edge is not None and edge > 1.05 * size:
+        widths.append(edge)
     while edge is not None and edge * 2 ** len(widths) < (0.75 if widths else 0.95) * size:
         widths.append(edge * 2 ** len(widths))
     inner = length - 2 * sum(widths)
@@ -170,6 +174,13 @@ def node_positions(
 def edge_width(depth: Array, thickness: float) -> float:
     """Width of the outermost elements of a free side, mm; as flat as 1 : 6.7 at the most."""
     return max(EDGE, 0.15 * float(depth[1])) * thickness
+
+
+def depth_positions(size: float, free_edges: bool) -> Array:
+    """Node depths for elements of about ``size``, as fractions of the thickness."""
+    if free_edges and 1.05 * size < EDGE:
+        return np.concatenate([[0.0], node_positions(1.0 - EDGE, size, EDGE)])
+    return node_positions(1.0, size)
 
 
 def graded_depths(count: int, grading: float = 1.0) -> Array:

@@ -21,7 +21,13 @@ from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
 from optical_palpation.mechanics.contact import area_vectors, friction_fraction, side_contact
 from optical_palpation.mechanics.elements import GRADIENTS, element_stress
-from optical_palpation.mechanics.grid import RIM, LayerGrid, edge_width, node_positions
+from optical_palpation.mechanics.grid import (
+    RIM,
+    LayerGrid,
+    depth_positions,
+    edge_width,
+    node_positions,
+)
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import balance
 from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem, LayerState
@@ -306,7 +312,7 @@ def _problem(
     imprint = Imprint(x, y, *values)
     if smoothing > 0:
         imprint = imprint.smoothed(smoothing)
-    depth = node_positions(1.0, sizes[2] / thickness)
+    depth = depth_positions(sizes[2] / thickness, edges == "free")
     edge = edge_width(depth, thickness) if edges == "free" else None
     nodes_x = node_positions(x1 - x0, sizes[0], x0, edge=edge)
     nodes_y = node_positions(y1 - y0, sizes[1], y0, edge=edge)
