@@ -83,7 +83,7 @@ def _coarse_axis(nodes: Array, edge: float | None) -> Array:
     """Node positions about twice as far apart, the outermost ones no further than ``edge``."""
     widths = np.diff(nodes)
     size = float(np.median(widths))
-    if widths[0] > 1.01 * size:  # a padded layer is coarse where it ends
+    if widths[:2].min() > 1.01 * size:  # a padded layer is coarse where it ends
         return nodes[coarse_nodes(len(widths), True)]
     return node_positions(float(nodes[-1] - nodes[0]), 2 * size, float(nodes[0]), edge=edge)
 
