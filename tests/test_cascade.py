@@ -50,7 +50,8 @@ def test_interpolation_keeps_a_homogeneous_deformation(counts, depths, slopes):
 def test_rim_elements_have_the_width_of_the_edge_however_fine_the_others(size, edge):
     nodes = node_positions(2.0, size, 1.0, edge=edge)
     widths = np.diff(nodes)
-    assert nodes[0] == 1.0 and nodes[-1] == pytest.approx(3.0)
+    assert nodes[0] == 1.0
+    assert nodes[-1] == pytest.approx(3.0)
     assert_allclose(widths, widths[::-1], rtol=1e-9)
     if not 0.95 < edge / size < 1.05:
         assert widths[0] == pytest.approx(edge)
@@ -60,7 +61,8 @@ def test_rim_elements_have_the_width_of_the_edge_however_fine_the_others(size, e
 @pytest.mark.parametrize("size", [0.3, 0.04, 0.03, 0.004])
 def test_elements_at_the_window_of_free_edges_are_no_flatter_than_those_of_the_rim(size):
     free, confined = depth_positions(size, True), depth_positions(size, False)
-    assert free[0] == confined[0] == 0 and free[-1] == confined[-1] == pytest.approx(1)
+    assert free[0] == confined[0] == 0
+    assert free[-1] == confined[-1] == pytest.approx(1)
     assert free[1] >= EDGE * (1 - 1e-9)
     assert confined[1] == pytest.approx(1 / round(1 / size))
     assert np.diff(free)[1:] == pytest.approx(size, rel=0.2)
