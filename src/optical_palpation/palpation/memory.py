@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import ceil, floor, log10
 from pathlib import Path
 
 from optical_palpation.errors import InsufficientMemoryError
@@ -12,7 +13,7 @@ from optical_palpation.mechanics.stencil import padded
 #: and per node of a face.
 _MULTIGRID, _FACE = 1450.0, 3000.0
 #: Bytes of such a run whatever its size.
-_FIXED = 1.2e7
+_FIXED = 4e6
 #: Bytes per node of the sparse matrix on its way to the direct solver, and per node and node of
 #: the depth of its factors, which grow with the logarithm of the lateral size besides.
 _MATRIX, _FACTORS = 20000.0, 400.0
@@ -85,7 +86,7 @@ def check_memory(problem: LayerProblem, solver: str = "multigrid") -> None:
         factor *= 1.05
         coarser = [max(1, round(n / factor)) for n in shape]
         if predicted_memory((coarser[0], coarser[1], coarser[2]), solver) <= usable:
-            sizes = " ".join(f"{factor * size:.2g}" for size in spacing)
+            sizes = " ".join(f"{_rounded_up(factor * size):.2g}" for size in spacing)
             advice = f"elements of {sizes} mm (x y z) would fit"
             if solver == "direct":
                 advice += ", and the multigrid solver needs far less"
@@ -94,6 +95,12 @@ def check_memory(problem: LayerProblem, solver: str = "multigrid") -> None:
         f"{problem.grid.n_elements:,} elements need about {_gigabytes(needed)} of memory and "
         f"{_gigabytes(available)} are available: {advice}"
     )
+
+
+def _rounded_up(size: float) -> float:
+    """Round up to two digits."""
+    digit = 10.0 ** (floor(log10(size)) - 1)
+    return ceil(size / digit) * digit
 
 
 def _gigabytes(count: float) -> str:
