@@ -52,6 +52,9 @@ Array = NDArray[np.float64]
 #: |w| is remembered from load to load up to this value only (friction 0.995 of its bound), so that
 #: a node that turns round does not first have to slip all the way back.
 _MEMORY = 10.0
+#: Smoothing eps of contact, as a pressure in units of the shear modulus; from the first iteration
+#: on, because the pressure of a layer with nowhere to go depends on it and would be sought twice.
+_SMOOTHING = 1e-3
 #: A contact spring stiffer than this many times its scale c is a prescribed displacement.
 _STIFF = 1e3
 #: Between rollers, where the layer resists with its bulk modulus, it must be stiffer than this many
@@ -149,13 +152,11 @@ def linearise(
     problem: LayerProblem,
     state: LayerState,
     force: Array,
-    smoothing: float,
     direction: Array | None = None,
 ) -> ContactLinearisation:
     """Linearise contact and friction at ``state`` with the internal nodal ``force``.
 
-    ``smoothing`` is eps as a pressure in units of the shear modulus; ``direction`` the unknown s,
-    by default the one that belongs to the slip.
+    ``direction`` is the unknown s, by default the one that belongs to the slip.
     """
     nodes = problem.grid.nodes
     bottom = nodes[:, 0] + state.u[:, 0]
@@ -166,9 +167,9 @@ def linearise(
     reaction = np.stack([force[2, 0], -force[2, -1]])
 
     c = complementarity_scale(problem)
-    eps = np.broadcast_to(smoothing * c * problem.grid.spacing[0], (2, *c.shape)).copy()
+    eps = np.broadcast_to(_SMOOTHING * c * problem.grid.spacing[0], (2, *c.shape)).copy()
     # with the load, so that the unloaded layer is free of stress
-    eps[WINDOW][problem.grid.rim] *= max(1.0, state.load * problem.rim_smoothing / smoothing)
+    eps[WINDOW][problem.grid.rim] *= max(1.0, state.load * problem.rim_smoothing / _SMOOTHING)
     t = normal + c * penetration
     s_value, other = smooth_maximum(t, eps)
     slope = 1 - other

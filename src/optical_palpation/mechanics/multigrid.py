@@ -133,7 +133,8 @@ class Level:
 class Hierarchy:
     """All levels for one grid.
 
-    ``store`` takes the operator of the finest, ``update`` coarsens it, ``cycle`` does a V-cycle.
+    Once the operator is stored in the stencil of the finest, ``update`` coarsens it and ``cycle``
+    does a V-cycle.
     """
 
     def __init__(

@@ -96,11 +96,6 @@ def on_the_way(tolerances: Tolerances, problem: LayerProblem) -> Tolerances:
     )
 
 
-#: Smoothing of contact, as a pressure in units of the shear modulus; from the first iteration on,
-#: because the pressure of a layer with nowhere to go depends on it and would be sought twice.
-_SMOOTHING = 1e-3
-
-
 #: Newton iterations in which the error must fall, or a smaller load is tried.
 _STAGNATION = 12
 
@@ -162,7 +157,7 @@ def balance(problem: LayerProblem, state: LayerState, direction: Array | None = 
         volume_ref,
         jacobian,
     )
-    contact = linearise(problem, state, force, _SMOOTHING, direction)
+    contact = linearise(problem, state, force, direction)
     out = force.copy()
     for face, k, sign in ((WINDOW, 0, -1.0), (SAMPLE, -1, 1.0)):
         out[:2, k] += contact.row[face] * force[2, k]

@@ -99,6 +99,18 @@ def expanded(stencil: Stencil, nx1: int) -> NDArray[np.float32]:
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
+def _row_product(s, q, near):
+    """One row of the blocks from entry q with the displacements of the three neighbours in x."""
+    a0, a1, a2, b0, b1, b2, c0, c1, c2 = near
+    f32 = nb.float32
+    return (
+        (f32(s[q]) * a0 + f32(s[q + L]) * a1 + f32(s[q + 2 * L]) * a2)
+        + (f32(s[q + 9 * L]) * b0 + f32(s[q + 10 * L]) * b1 + f32(s[q + 11 * L]) * b2)
+        + (f32(s[q + 18 * L]) * c0 + f32(s[q + 19 * L]) * c1 + f32(s[q + 20 * L]) * c2)
+    )
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
 def _product(stencil, x, k, j, i0, out):
     """out[c * L + l] = (S x)_c of the lanes from node i0 of the row (k, j)."""
     out[:] = 0
@@ -113,57 +125,10 @@ def _product(stencil, x, k, j, i0, out):
             a0, a1, a2 = x0[i], x1[i], x2[i]
             b0, b1, b2 = x0[i + 1], x1[i + 1], x2[i + 1]
             c0, c1, c2 = x0[i + 2], x1[i + 2], x2[i + 2]
-            out[l] += (
-                (
-                    nb.float32(s[q + l]) * a0
-                    + nb.float32(s[q + 1 * L + l]) * a1
-                    + nb.float32(s[q + 2 * L + l]) * a2
-                )
-                + (
-                    nb.float32(s[q + 9 * L + l]) * b0
-                    + nb.float32(s[q + 10 * L + l]) * b1
-                    + nb.float32(s[q + 11 * L + l]) * b2
-                )
-                + (
-                    nb.float32(s[q + 18 * L + l]) * c0
-                    + nb.float32(s[q + 19 * L + l]) * c1
-                    + nb.float32(s[q + 20 * L + l]) * c2
-                )
-            )
-            out[1 * L + l] += (
-                (
-                    nb.float32(s[q + 3 * L + l]) * a0
-                    + nb.float32(s[q + 4 * L + l]) * a1
-                    + nb.float32(s[q + 5 * L + l]) * a2
-                )
-                + (
-                    nb.float32(s[q + 12 * L + l]) * b0
-                    + nb.float32(s[q + 13 * L + l]) * b1
-                    + nb.float32(s[q + 14 * L + l]) * b2
-                )
-                + (
-                    nb.float32(s[q + 21 * L + l]) * c0
-                    + nb.float32(s[q + 22 * L + l]) * c1
-                    + nb.float32(s[q + 23 * L + l]) * c2
-                )
-            )
-            out[2 * L + l] += (
-                (
-                    nb.float32(s[q + 6 * L + l]) * a0
-                    + nb.float32(s[q + 7 * L + l]) * a1
-                    + nb.float32(s[q + 8 * L + l]) * a2
-                )
-                + (
-                    nb.float32(s[q + 15 * L + l]) * b0
-                    + nb.float32(s[q + 16 * L + l]) * b1
-                    + nb.float32(s[q + 17 * L + l]) * b2
-                )
-                + (
-                    nb.float32(s[q + 24 * L + l]) * c0
-                    + nb.float32(s[q + 25 * L + l]) * c1
-                    + nb.float32(s[q + 26 * L + l]) * c2
-                )
-            )
+            near = a0, a1, a2, b0, b1, b2, c0, c1, c2
+            out[l] += _row_product(s, q + l, near)
+            out[L + l] += _row_product(s, q + 3 * L + l, near)
+            out[2 * L + l] += _row_product(s, q + 6 * L + l, near)
     x0, x1, x2 = x[0, k + 1, j + 1], x[1, k + 1, j + 1], x[2, k + 1, j + 1]
     f, d = stencil.scale[k, j, block], stencil.diagonal[k, j, block]
     for c in range(3):
