@@ -239,8 +239,11 @@ def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     above = grid.depth[nodes[0][:count]]
     first = np.array([[grid.depth[1]], [1 - grid.depth[-2]]])
     band = np.minimum(np.stack([above, 1 - above]), np.maximum(first, _SIDE_BAND))
-    # pressure x area of a node / the height that it keeps free
-    c = _SIDE_PENALTY * problem.shear_modulus * 0.5 * (dx + dy) * first / band
+    # pressure x area of a node / the height that it keeps free; a corner rolls over from both its
+    # sides, and with the penalty of one its tip would swing to and fro
+    ends = [(nodes[d][:count] % (n - 1) == 0) for d, n in ((1, len(grid.y)), (2, len(grid.x)))]
+    sides = np.where(ends[0] & ends[1], 2.0, 1.0)
+    c = _SIDE_PENALTY * problem.shear_modulus * sides * 0.5 * (dx + dy) * first / band
     x0, y0 = (grid.nodes[n][nodes][:count] for n in range(2))
     height = problem.imprint.evaluate(x0, y0, state.load)[0]
     gap = _SIDE_GAP * height * band
