@@ -166,13 +166,11 @@ class Hierarchy:
                 level.prepare()
                 tz, ty, tx = level.transfers
                 free = free[np.ix_(np.arange(3), tz.nodes, ty.nodes, tx.nodes)]
-                st.galerkin(
-                    level.stencil,
-                    free,
-                    free.all(3),
-                    coarser.stencil,
-                    *(a for t in (tz, ty, tx) for a in (t.low, t.first, t.table)),
-                )
+                tables = [a for t in (tz, ty, tx) for a in (t.low, t.first, t.table)]
+                planes = st.galerkin(level.stencil, coarser.node_shape, tables)
+                for k, plane in enumerate(planes):
+                    st.constrain(plane, free, k)
+                    st.store(plane, coarser.stencil, k)
         coarsest = self.levels[-1]
         self._free = free
         dense = dense_matrix(st.expanded(coarsest.stencil, coarsest.node_shape[2]), free)

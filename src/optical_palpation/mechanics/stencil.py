@@ -12,7 +12,7 @@ lanes: ``[component, z + 2, y + 2, width + 2]``.
 # ruff: noqa: E741 -- l is the lane
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -256,10 +256,14 @@ def invert_blocks(diagonal, inverse):
                         v[4 * c * L + l] = 0
 
 
-@nb.njit(cache=True, error_model="numpy")
-def _store_row(row, stencil, k, j):
-    """Round the row [neighbour, 3 * row + column, x] of the nodes (k, j) into a stencil."""
-    # Loops run along the whole row: over the lanes alone they would not become vector instructions
+@nb.njit(error_model="numpy")
+def _store_row(row, entries, scales, diagonals, rounded, by_four):
+    """Round a row of nodes, [neighbour, 3 * row + column, x].
+
+    ``entries`` takes them four at a time; ``by_four`` is how ``rounded``, a row long, is read so.
+    """
+    # Loops run along the whole row: over the lanes alone they would not become vector instructions.
+    # A function of its own: in a parallel loop numba does not see that arrays share their memory.
     width = row.shape[2]
     scale, factor = np.zeros((3, width), np.float32), np.empty((3, width), np.float32)
     for m in range(27):
@@ -274,12 +278,10 @@ def _store_row(row, stencil, k, j):
             scale[c, i] *= nb.float32(1 / _LARGEST_ENTRY)
             factor[c, i] = nb.float32(1) / (scale[c, i] + nb.float32(1e-30))
     diagonal = np.empty((9, width), np.float32)
-    rounded = np.empty(width, np.int16)
-    by_four = rounded.view(np.int64)
-    entries = stencil.entries[k, j].reshape(-1).view(np.int64).reshape((width // L, -1))
     for e in range(9):
         near, s, f = diagonal[e], scale[e // 3], factor[e // 3]
-        near[:] = row[13, e]
+        for i in range(width):  # an assignment of arrays takes a second longer to compile
+            near[i] = row[13, e, i]
         for m in range(27):
             line = row[m, e]
             if m == 13:
@@ -297,44 +299,52 @@ def _store_row(row, stencil, k, j):
         for l in range(L):
             i = block * L + l
             for c in range(3):
-                stencil.scale[k, j, block, c * L + l] = scale[c, i]
+                scales[block, c * L + l] = scale[c, i]
             for e in range(9):
-                stencil.diagonal[k, j, block, e * L + l] = diagonal[e, i]
+                diagonals[block, e * L + l] = diagonal[e, i]
 
 
-@nb.njit(cache=True, error_model="numpy")
-def _clear_row(row, free, whole, k, j):
-    """Clear the rows and columns of unknowns that are not ``free``, [component, z, y, x].
-
-    ``whole`` tells, [component, z, y], where all of a grid row are.
-    """
-    _, nz1, ny1, nx1 = free.shape
-    for m in range(27):
-        kk, jj, di = k + m // 9 - 1, j + (m // 3) % 3 - 1, m % 3 - 1
-        if kk < 0 or kk >= nz1 or jj < 0 or jj >= ny1:
-            continue
-        for c in range(3):
-            for d in range(3):
-                if whole[c, k, j] and whole[d, kk, jj]:
-                    continue
-                here, there, line = free[c, k, j], free[d, kk, jj], row[m, 3 * c + d]
-                for i in range(max(0, -di), min(nx1, nx1 - di)):
-                    if not (here[i] and there[i + di]):
-                        line[i] = 0
-
-
-@nb.njit(parallel=True, cache=True)
-def constrain(plane, free, whole, k):
-    """Clear rows and columns of unknowns in plane k, [y, neighbour, 3 row + col, x]."""
-    for j in nb.prange(len(plane)):
-        _clear_row(plane[j], free, whole, k, j)
-
-
-@nb.njit(parallel=True, cache=True)
-def store(plane, stencil, k):
+def store(plane: NDArray[np.floating], stencil: Stencil, k: int) -> None:
     """Round plane k, [y, neighbour, 3 * row + column, x], into a stencil."""
+    rounded = np.empty((len(plane), plane.shape[3]), np.int16)
+    entries = stencil.entries[k].view(np.int64)
+    _store(plane, entries, stencil.scale[k], stencil.diagonal[k], rounded, rounded.view(np.int64))
+
+
+@nb.njit(parallel=True, cache=True)
+def _store(plane, entries, scale, diagonal, rounded, by_four):
     for j in nb.prange(len(plane)):
-        _store_row(plane[j], stencil, k, j)
+        _store_row(plane[j], entries[j], scale[j], diagonal[j], rounded[j], by_four[j])
+
+
+def constrain(plane: NDArray[np.floating], free: NDArray[np.bool_], k: int) -> None:
+    """Clear rows and columns of unknowns that are not ``free``, [component, z, y, x], in plane k.
+
+    ``plane`` is [y, neighbour, 3 * row + column, x].
+    """
+    whole = free[:, max(k - 1, 0) : k + 2].all(3)
+    if not whole.all():
+        _constrain(plane, free, whole, k)
+
+
+@nb.njit(parallel=True, cache=True)
+def _constrain(plane, free, whole, k):
+    """``whole`` tells where all of a grid row is free, from the plane below k on if there is one."""
+    _, nz1, ny1, nx1 = free.shape
+    first = max(k - 1, 0)
+    for j in nb.prange(len(plane)):
+        for m in range(27):
+            kk, jj, di = k + m // 9 - 1, j + (m // 3) % 3 - 1, m % 3 - 1
+            if kk < 0 or kk >= nz1 or jj < 0 or jj >= ny1:
+                continue
+            for c in range(3):
+                for d in range(3):
+                    if whole[c, k - first, j] and whole[d, kk - first, jj]:
+                        continue
+                    here, there, line = free[c, k, j], free[d, kk, jj], plane[j, m, 3 * c + d]
+                    for i in range(max(0, -di), min(nx1, nx1 - di)):
+                        if not (here[i] and there[i + di]):
+                            line[i] = 0
 
 
 @nb.njit(parallel=True, cache=True)
@@ -381,21 +391,44 @@ def restrict(fine, coarse, first_z, p_z, first_y, p_y, first_x, p_x):
                 coarse[c, kc + 1, jc + 1, ic + 1] = total
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
 def galerkin(
-    fine, free, whole, coarse, index_z, first_z, p_z, index_y, first_y, p_y, index_x, first_x, p_x
-):
-    """Coarse stencil P^T S P, axis by axis; ``index[n]`` are the two coarse parents of fine node n.
+    fine: Stencil, node_shape: tuple[int, int, int], tables: Sequence[NDArray]
+) -> Iterator[NDArray[np.float32]]:
+    """Coarse stencil P^T S P, plane by plane.
 
-    Weights come from the dense tables p[N, n - first[N]]. Rows and columns of coarse unknowns that
-    are not ``free`` are cleared.
+    Parameters
+    ----------
+    node_shape
+        That of the coarse grid.
+    tables
+        For each of z, y, x the ``low``, ``first`` and ``table`` of its ``Transfer``.
+
+    Yields
+    ------
+    NDArray
+        [y, neighbour, 3 * row + column, x], rows filled up to whole lanes; each is overwritten when
+        the next is made.
+    """
+    nz1, ny1, nx1 = node_shape
+    plane = np.zeros((ny1, 27, 9, padded(nx1)), np.float32)
+    for k in range(nz1):
+        _galerkin_plane(fine, k, plane, *tables)
+        yield plane
+
+
+@nb.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+def _galerkin_plane(
+    fine, kc, plane, index_z, first_z, p_z, index_y, first_y, p_y, index_x, first_x, p_x
+):
+    """Plane kc of P^T S P, axis by axis; ``index[n]`` are the two coarse parents of fine node n.
+
+    Weights come from the dense tables p[N, n - first[N]].
     """
     mz1, my1, mx1 = len(first_z), len(first_y), len(first_x)
     nz1, ny1, lanes, _ = fine.entries.shape
     nx1 = len(index_x)
-    for row in nb.prange(mz1 * my1):
-        kc, jc = row // my1, row % my1
-        part = np.zeros((9, lanes, 3 * _BLOCK), np.float32)
+    for jc in nb.prange(my1):
+        part = np.zeros((9, lanes * 3 * _BLOCK), np.float32)
         values, factor = np.empty_like(part), np.empty(3 * _BLOCK, np.float32)
         for a in range(p_z.shape[1]):
             k = first_z[kc] + a
@@ -427,8 +460,8 @@ def galerkin(
                                     continue
                                 w = wk * wj * vk * p_y[jc2, j2 - first_y[jc2]]
                                 if w != 0:
-                                    source = values[3 * dk + dj].reshape(-1)
-                                    out = part[3 * (kc2 - kc + 1) + jc2 - jc + 1].reshape(-1)
+                                    source = values[3 * dk + dj]
+                                    out = part[3 * (kc2 - kc + 1) + jc2 - jc + 1]
                                     for i in range(len(out)):
                                         out[i] += w * source[i]
         sums = np.zeros((mx1, 3, 9, 9), np.float32)
@@ -449,38 +482,36 @@ def galerkin(
                         w = wi * p_x[ic2, i2 - first_x[ic2]]
                         if w != 0:
                             _add_column(part, i, di, w, sums[ic, ic2 - ic + 1])
-        target = np.zeros((27, 9, coarse.entries.shape[2] * L), np.float32)
         for ic in range(mx1):
             for di in range(3):
                 for m in range(9):
                     for c in range(9):
-                        target[3 * m + di, c, ic] = sums[ic, di, m, c]
-        _clear_row(target, free, whole, kc, jc)
-        _store_row(target, coarse, kc, jc)
+                        plane[jc, 3 * m + di, c, ic] = sums[ic, di, m, c]
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
 def _read_row(stencil, k, j, out, factor):
-    """Entries of the nodes (k, j), [3 dz + dy, lanes, (9 dx + 3 * row + column) x L]."""
-    for block in range(out.shape[1]):
+    """Entries of the nodes (k, j), [3 dz + dy, (lanes, 9 dx + 3 * row + column, L)]."""
+    for block in range(stencil.entries.shape[2]):
         scale, entries = stencil.scale[k, j, block], stencil.entries[k, j, block]
         for e in range(27):
             for l in range(L):
                 factor[e * L + l] = scale[(e % 9) // 3 * L + l]
+        begin = (3 * _BLOCK * block) & LARGEST
         for m in range(9):
-            target, start = out[m, block], (3 * _BLOCK * m) & LARGEST
+            target, start = out[m], (3 * _BLOCK * m) & LARGEST
             for l in range(3 * _BLOCK):
-                target[l] = factor[l] * nb.float32(entries[start + l])
-        target, diagonal = out[4, block], stencil.diagonal[k, j, block]
+                target[begin + l] = factor[l] * nb.float32(entries[start + l])
+        target, diagonal = out[4], stencil.diagonal[k, j, block]
         for l in range(_BLOCK):
-            target[_BLOCK + l] += diagonal[l]
+            target[begin + _BLOCK + l] += diagonal[l]
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
 def _add_column(part, i, di, weight, out):
     """Add the entries of node i for its neighbour di in x, for all neighbours in z and y."""
-    block, l = i // L, i % L
+    begin = i // L * 3 * _BLOCK + 9 * di * L + i % L
     for m in range(9):
-        source = part[m, block]
+        source = part[m]
         for c in range(9):
-            out[m, c] += weight * source[(9 * di + c) * L + l]
+            out[m, c] += weight * source[begin + c * L]

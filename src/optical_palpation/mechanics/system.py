@@ -115,7 +115,6 @@ def assemble(
     nz1, ny1, nx1 = grid.node_shape
     faces = ((WINDOW, 0), (SAMPLE, nz1 - 1))
     free, prescribed = constraints(problem, contact)
-    whole = np.all(free, axis=3)
     divergence = np.empty((*grid.shape[:2], 24, grid.shape[2]), solver.dtype)
     residual = now.force.copy()
     volume_residual = now.volume - now.volume_ref * (1 + state.p / problem.bulk_modulus)
@@ -168,8 +167,7 @@ def assemble(
                 dz = there - k + 1
                 columns = plane[:, 9 * dz : 9 * dz + 9, 2::3, :nx1]
                 residual[:, k] += _column_product(columns, prescribed[face])
-        if not whole[:, max(k - 1, 0) : k + 2].all():
-            constrain(plane, free, whole, k)
+        constrain(plane, free, k)
         solver.store(k, plane)
     penalty = (solver.gamma / now.volume_ref * volume_residual).astype(solver.dtype)
     residual += system.pressure_force(penalty)
