@@ -75,7 +75,7 @@ def measure(nx: int, ny: int, nz: int) -> list[tuple[str, float, int]]:
 
     def store() -> None:
         for k, plane in enumerate(tangent):
-            st.constrain(plane, free, free.all(3), k)
+            st.constrain(plane, free, k)
             st.store(plane, fine.stencil, k)
 
     row("constraints, storing", store, *tangent, *fine.stencil)

@@ -37,11 +37,11 @@ class Stencil(NamedTuple):
     entries
         [z, y, lanes, 27 x 9 x L], 0 where the neighbour is the node itself.
     scale
-        [z, y, lanes, row of the block x L].
+        [z, y, row of the block, x], x filled up to whole lanes.
     diagonal
-        Block of the node itself, [z, y, lanes, (3 * row + column) x L], and what all others of its
-        row lost by rounding: a displacement that is the same everywhere meets the exact forces, a
-        smooth one nearly so.
+        Block of the node itself, [z, y, 3 * row + column, x], and what all others of its row lost by
+        rounding: a displacement that is the same everywhere meets the exact forces, a smooth one
+        nearly so.
     """
 
     entries: NDArray[np.int16]
@@ -60,8 +60,8 @@ def empty_stencil(node_shape: tuple[int, int, int]) -> Stencil:
     lanes = padded(nx1) // L
     return Stencil(
         np.empty((nz1, ny1, lanes, 27 * _BLOCK), np.int16),
-        np.empty((nz1, ny1, lanes, 3 * L), np.float32),
-        np.empty((nz1, ny1, lanes, _BLOCK), np.float32),
+        np.empty((nz1, ny1, 3, lanes * L), np.float32),
+        np.empty((nz1, ny1, 9, lanes * L), np.float32),
     )
 
 
@@ -91,10 +91,10 @@ def interior(vector: NDArray, node_shape: tuple[int, int, int]) -> NDArray:
 def expanded(stencil: Stencil, nx1: int) -> NDArray[np.float32]:
     """All entries of a stencil, [z, y, neighbour, 3 * row + column, x]."""
     nz1, ny1, lanes, _ = stencil.entries.shape
-    out = stencil.entries.reshape(nz1, ny1, lanes, 27, 3, 3, L).astype(np.float32)
-    out *= stencil.scale.reshape(nz1, ny1, lanes, 1, 3, 1, L)
-    out[:, :, :, 13] += stencil.diagonal.reshape(nz1, ny1, lanes, 3, 3, L)
-    out = np.moveaxis(out, 2, 5).reshape(nz1, ny1, 27, 9, lanes * L)
+    out = stencil.entries.reshape(nz1, ny1, lanes, 27, 9, L).astype(np.float32)
+    out = np.moveaxis(out, 2, 4).reshape(nz1, ny1, 27, 9, lanes * L)
+    out *= np.repeat(stencil.scale, 3, axis=2)[:, :, None]
+    out[:, :, 13] += stencil.diagonal
     return out[..., :nx1]
 
 
@@ -111,153 +111,150 @@ def _row_product(s, q, near):
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
-def _product(stencil, x, k, j, i0, out):
-    """out[c * L + l] = (S x)_c of the lanes from node i0 of the row (k, j)."""
-    out[:] = 0
-    block = i0 // L
-    s = stencil.entries[k, j, block]
-    for m in range(9):
-        kk, jj = k + m // 3, j + m % 3
-        x0, x1, x2 = x[0, kk, jj], x[1, kk, jj], x[2, kk, jj]
-        q = 27 * m * L
-        for l in range(L):
-            i = (i0 + l) & LARGEST
-            a0, a1, a2 = x0[i], x1[i], x2[i]
-            b0, b1, b2 = x0[i + 1], x1[i + 1], x2[i + 1]
-            c0, c1, c2 = x0[i + 2], x1[i + 2], x2[i + 2]
-            near = a0, a1, a2, b0, b1, b2, c0, c1, c2
-            out[l] += _row_product(s, q + l, near)
-            out[L + l] += _row_product(s, q + 3 * L + l, near)
-            out[2 * L + l] += _row_product(s, q + 6 * L + l, near)
+def _product(stencil, x, k, j, out):
+    """out[c, i] = (S x)_c of the nodes i of the row (k, j)."""
+    lanes = stencil.entries.shape[2]
+    sums = np.empty(3 * L, np.float32)
+    for block in range(lanes):
+        i0 = (block * L) & LARGEST
+        s = stencil.entries[k, j, block]
+        sums[:] = 0
+        for m in range(9):
+            kk, jj = k + m // 3, j + m % 3
+            x0, x1, x2 = x[0, kk, jj], x[1, kk, jj], x[2, kk, jj]
+            q = 27 * m * L
+            for l in range(L):
+                i = (i0 + l) & LARGEST
+                a0, a1, a2 = x0[i], x1[i], x2[i]
+                b0, b1, b2 = x0[i + 1], x1[i + 1], x2[i + 1]
+                c0, c1, c2 = x0[i + 2], x1[i + 2], x2[i + 2]
+                near = a0, a1, a2, b0, b1, b2, c0, c1, c2
+                sums[l] += _row_product(s, q + l, near)
+                sums[L + l] += _row_product(s, q + 3 * L + l, near)
+                sums[2 * L + l] += _row_product(s, q + 6 * L + l, near)
+        for c in range(3):
+            for l in range(L):
+                out[c, i0 + l] = sums[c * L + l]
+    # Loops of few operations become vector instructions only if they run along the whole row and
+    # touch few arrays
     x0, x1, x2 = x[0, k + 1, j + 1], x[1, k + 1, j + 1], x[2, k + 1, j + 1]
-    f, d = stencil.scale[k, j, block], stencil.diagonal[k, j, block]
     for c in range(3):
-        q = 3 * c * L
-        for l in range(L):
-            i = (i0 + l) & LARGEST
-            out[c * L + l] = f[c * L + l] * out[c * L + l] + (
-                d[q + l] * x0[i + 1] + d[q + L + l] * x1[i + 1] + d[q + 2 * L + l] * x2[i + 1]
-            )
+        line, f = out[c], stencil.scale[k, j, c]
+        d0, d1, d2 = (
+            stencil.diagonal[k, j, 3 * c],
+            stencil.diagonal[k, j, 3 * c + 1],
+            stencil.diagonal[k, j, 3 * c + 2],
+        )
+        for i in range(len(line)):
+            line[i] = f[i] * line[i] + (d0[i] * x0[i + 1] + d1[i] * x1[i + 1] + d2[i] * x2[i + 1])
 
 
 @nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
 def multiply(stencil, x, y):
     """Y = S x."""
-    nz1, ny1, lanes, _ = stencil.entries.shape
+    nz1, ny1, _, width = stencil.scale.shape
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
-        product = np.empty(3 * L, np.float32)
-        for block in range(lanes):
-            i0 = (block * L) & LARGEST
-            _product(stencil, x, k, j, i0, product)
-            for c in range(3):
-                line = y[c, k + 1, j + 1]
-                for l in range(L):
-                    line[i0 + l + 1] = product[c * L + l]
+        product = np.empty((3, width), np.float32)
+        _product(stencil, x, k, j, product)
+        for c in range(3):
+            line, from_ = y[c, k + 1, j + 1], product[c]
+            for i in range(width):
+                line[i + 1] = from_[i]
 
 
 @nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
 def subtract_product(stencil, x, b, r):
     """R = b - S x."""
-    nz1, ny1, lanes, _ = stencil.entries.shape
+    nz1, ny1, _, width = stencil.scale.shape
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
-        product = np.empty(3 * L, np.float32)
-        for block in range(lanes):
-            i0 = (block * L) & LARGEST
-            _product(stencil, x, k, j, i0, product)
-            for c in range(3):
-                line, from_ = r[c, k + 1, j + 1], b[c, k + 1, j + 1]
-                for l in range(L):
-                    line[i0 + l + 1] = from_[i0 + l + 1] - product[c * L + l]
+        product = np.empty((3, width), np.float32)
+        _product(stencil, x, k, j, product)
+        for c in range(3):
+            line, from_, less = r[c, k + 1, j + 1], b[c, k + 1, j + 1], product[c]
+            for i in range(width):
+                line[i + 1] = from_[i + 1] - less[i]
 
 
 @nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
 def first_step(inverse, b, d, x, gain):
     """X = d = gain D^-1 b."""
-    nz1, ny1, lanes, _ = inverse.shape
+    nz1, ny1, _, width = inverse.shape
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
         b0, b1, b2 = b[0, k + 1, j + 1], b[1, k + 1, j + 1], b[2, k + 1, j + 1]
-        for block in range(lanes):
-            i0 = (block * L) & LARGEST
-            v = inverse[k, j, block]
-            for c in range(3):
-                line, step, q = x[c, k + 1, j + 1], d[c, k + 1, j + 1], 3 * c * L
-                for l in range(L):
-                    i = (i0 + l + 1) & LARGEST
-                    change = gain * (
-                        v[q + l] * b0[i] + v[q + L + l] * b1[i] + v[q + 2 * L + l] * b2[i]
-                    )
-                    step[i] = change
-                    line[i] = change
+        for c in range(3):
+            line, step = x[c, k + 1, j + 1], d[c, k + 1, j + 1]
+            v0, v1, v2 = inverse[k, j, 3 * c], inverse[k, j, 3 * c + 1], inverse[k, j, 3 * c + 2]
+            for i in range(width):
+                step[i + 1] = gain * (v0[i] * b0[i + 1] + v1[i] * b1[i + 1] + v2[i] * b2[i + 1])
+            for i in range(width):
+                line[i + 1] = step[i + 1]
 
 
 @nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
 def smoothing_step(stencil, inverse, x, b, d, keep, gain, out):
     """D = keep d + gain D^-1 (b - S x), out = x + d; D on the right the block diagonal."""
-    nz1, ny1, lanes, _ = stencil.entries.shape
+    nz1, ny1, _, width = stencil.scale.shape
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
-        r = np.empty(3 * L, np.float32)
-        for block in range(lanes):
-            i0 = (block * L) & LARGEST
-            _product(stencil, x, k, j, i0, r)
-            for c in range(3):
-                from_ = b[c, k + 1, j + 1]
-                for l in range(L):
-                    r[c * L + l] = from_[i0 + l + 1] - r[c * L + l]
-            v = inverse[k, j, block]
-            for c in range(3):
-                step, line, old = d[c, k + 1, j + 1], out[c, k + 1, j + 1], x[c, k + 1, j + 1]
-                q = 3 * c * L
-                for l in range(L):
-                    i = (i0 + l + 1) & LARGEST
-                    change = keep * step[i] + gain * (
-                        v[q + l] * r[l] + v[q + L + l] * r[L + l] + v[q + 2 * L + l] * r[2 * L + l]
-                    )
-                    step[i] = change
-                    line[i] = old[i] + change
+        r = np.empty((3, width), np.float32)
+        change = np.empty(width, np.float32)
+        _product(stencil, x, k, j, r)
+        r0, r1, r2 = r[0], r[1], r[2]
+        for c in range(3):
+            line, from_ = r[c], b[c, k + 1, j + 1]
+            for i in range(width):
+                line[i] = from_[i + 1] - line[i]
+        for c in range(3):
+            step, line, old = d[c, k + 1, j + 1], out[c, k + 1, j + 1], x[c, k + 1, j + 1]
+            v0, v1, v2 = inverse[k, j, 3 * c], inverse[k, j, 3 * c + 1], inverse[k, j, 3 * c + 2]
+            for i in range(width):
+                change[i] = v0[i] * r0[i] + v1[i] * r1[i] + v2[i] * r2[i]
+            for i in range(width):
+                step[i + 1] = keep * step[i + 1] + gain * change[i]
+            for i in range(width):
+                line[i + 1] = old[i + 1] + step[i + 1]
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
 def invert_blocks(diagonal, inverse):
     """Invert the diagonal blocks; constrained unknowns (zero diagonal) get zero rows, columns."""
-    nz1, ny1, lanes, _ = diagonal.shape
+    nz1, ny1, _, width = diagonal.shape
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
         a = np.empty((3, 3))
-        for block in range(lanes):
-            d, v = diagonal[k, j, block], inverse[k, j, block]
-            for l in range(L):
-                for c in range(9):
-                    a[c // 3, c % 3] = d[c * L + l]
-                fixed = (a[0, 0] == 0, a[1, 1] == 0, a[2, 2] == 0)
-                for c in range(3):
-                    if fixed[c]:
-                        a[c, :] = 0
-                        a[:, c] = 0
-                        a[c, c] = 1
-                v00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
-                v10 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
-                v20 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
-                s = 1 / (a[0, 0] * v00 + a[0, 1] * v10 + a[0, 2] * v20)
-                v[l] = v00 * s
-                v[3 * L + l] = v10 * s
-                v[6 * L + l] = v20 * s
-                v[L + l] = (a[0, 2] * a[2, 1] - a[0, 1] * a[2, 2]) * s
-                v[4 * L + l] = (a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]) * s
-                v[7 * L + l] = (a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]) * s
-                v[2 * L + l] = (a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]) * s
-                v[5 * L + l] = (a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2]) * s
-                v[8 * L + l] = (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]) * s
-                for c in range(3):
-                    if fixed[c]:
-                        v[4 * c * L + l] = 0
+        d, v = diagonal[k, j], inverse[k, j]
+        for i in range(width):
+            for c in range(9):
+                a[c // 3, c % 3] = d[c, i]
+            fixed = (a[0, 0] == 0, a[1, 1] == 0, a[2, 2] == 0)
+            for c in range(3):
+                if fixed[c]:
+                    a[c, :] = 0
+                    a[:, c] = 0
+                    a[c, c] = 1
+            v00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
+            v10 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
+            v20 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
+            s = 1 / (a[0, 0] * v00 + a[0, 1] * v10 + a[0, 2] * v20)
+            v[0, i] = v00 * s
+            v[3, i] = v10 * s
+            v[6, i] = v20 * s
+            v[1, i] = (a[0, 2] * a[2, 1] - a[0, 1] * a[2, 2]) * s
+            v[4, i] = (a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]) * s
+            v[7, i] = (a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]) * s
+            v[2, i] = (a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]) * s
+            v[5, i] = (a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2]) * s
+            v[8, i] = (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]) * s
+            for c in range(3):
+                if fixed[c]:
+                    v[4 * c, i] = 0
 
 
 @nb.njit(error_model="numpy")
-def _store_row(row, entries, scales, diagonals, rounded, by_four):
+def _store_row(row, entries, scale, diagonal, rounded, by_four):
     """Round a row of nodes, [neighbour, 3 * row + column, x].
 
     ``entries`` takes them four at a time; ``by_four`` is how ``rounded``, a row long, is read so.
@@ -265,7 +262,8 @@ def _store_row(row, entries, scales, diagonals, rounded, by_four):
     # Loops run along the whole row: over the lanes alone they would not become vector instructions.
     # A function of its own: in a parallel loop numba does not see that arrays share their memory.
     width = row.shape[2]
-    scale, factor = np.zeros((3, width), np.float32), np.empty((3, width), np.float32)
+    factor = np.empty((3, width), np.float32)
+    scale[:] = 0
     for m in range(27):
         if m != 13:
             for e in range(9):
@@ -277,7 +275,6 @@ def _store_row(row, entries, scales, diagonals, rounded, by_four):
         for i in range(width):
             scale[c, i] *= nb.float32(1 / _LARGEST_ENTRY)
             factor[c, i] = nb.float32(1) / (scale[c, i] + nb.float32(1e-30))
-    diagonal = np.empty((9, width), np.float32)
     for e in range(9):
         near, s, f = diagonal[e], scale[e // 3], factor[e // 3]
         for i in range(width):  # an assignment of arrays takes a second longer to compile
@@ -295,13 +292,6 @@ def _store_row(row, entries, scales, diagonals, rounded, by_four):
             for block in range(width // L):
                 for l in range(L // 4):
                     entries[block, place + l] = by_four[block * (L // 4) + l]
-    for block in range(width // L):
-        for l in range(L):
-            i = block * L + l
-            for c in range(3):
-                scales[block, c * L + l] = scale[c, i]
-            for e in range(9):
-                diagonals[block, e * L + l] = diagonal[e, i]
 
 
 def store(plane: NDArray[np.floating], stencil: Stencil, k: int) -> None:
@@ -492,19 +482,21 @@ def _galerkin_plane(
 @nb.njit(fastmath=FAST, error_model="numpy")
 def _read_row(stencil, k, j, out, factor):
     """Entries of the nodes (k, j), [3 dz + dy, (lanes, 9 dx + 3 * row + column, L)]."""
+    scale, diagonal = stencil.scale[k, j], stencil.diagonal[k, j]
     for block in range(stencil.entries.shape[2]):
-        scale, entries = stencil.scale[k, j, block], stencil.entries[k, j, block]
+        entries, i0 = stencil.entries[k, j, block], block * L
         for e in range(27):
             for l in range(L):
-                factor[e * L + l] = scale[(e % 9) // 3 * L + l]
+                factor[e * L + l] = scale[(e % 9) // 3, i0 + l]
         begin = (3 * _BLOCK * block) & LARGEST
         for m in range(9):
             target, start = out[m], (3 * _BLOCK * m) & LARGEST
             for l in range(3 * _BLOCK):
                 target[begin + l] = factor[l] * nb.float32(entries[start + l])
-        target, diagonal = out[4], stencil.diagonal[k, j, block]
-        for l in range(_BLOCK):
-            target[begin + _BLOCK + l] += diagonal[l]
+        target = out[4]
+        for e in range(9):
+            for l in range(L):
+                target[begin + _BLOCK + e * L + l] += diagonal[e, i0 + l]
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
