@@ -20,6 +20,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from .intrinsics import add_lanes
 from .lanes import (
     DET,
     FAST,
@@ -34,7 +35,9 @@ from .lanes import (
     V0,
     V1,
     L,
+    add_penalty,
     add_stiffness,
+    add_volume_gradient,
     elasticity,
     gather,
     isochoric_stress,
@@ -172,24 +175,9 @@ def _tangent_row(nodes, u, p, material1, material2, penalty, dn, k, j, w, below,
                 w[TAU + 4 * L + l] *= w[DET + l]
                 w[TAU + 5 * L + l] *= w[DET + l]
                 w[JAC + l] *= w[DET + l]
-            for a in range(8):
-                for c in range(3):
-                    for l in range(L):
-                        w[FE + (3 * a + c) * L + l] += w[GRAD + (3 * a + c) * L + l] * w[JAC + l]
+            add_volume_gradient(w)
             add_stiffness(w)
-        for l in range(L):
-            w[V0 + l] = penalty / w[V0 + l]
-        for a in range(8):
-            for bb in range(a + 1):
-                m = 8 * a + bb
-                for c in range(3):
-                    for d in range(3):
-                        for l in range(L):
-                            w[KE + (9 * m + 3 * c + d) * L + l] += (
-                                w[V0 + l]
-                                * w[FE + (3 * a + c) * L + l]
-                                * w[FE + (3 * bb + d) * L + l]
-                            )
+        add_penalty(penalty, w)
         for a in range(8):
             for c in range(3):
                 for l in range(n):
@@ -202,17 +190,16 @@ def _tangent_row(nodes, u, p, material1, material2, penalty, dn, k, j, w, below,
                 blocks = row[9 * (bz - az + 1) + 3 * (by - ay + 1) + (bx - ax + 1)]
                 for c in range(3):
                     for d in range(3):
-                        entries = blocks[3 * c + d]
+                        entries, first = blocks[3 * c + d], i0 + ax
                         if bb <= a:
-                            for l in range(n):
-                                entries[i0 + ax + l] += w[
-                                    KE + (9 * (8 * a + bb) + 3 * c + d) * L + l
-                                ]
+                            start = KE + (9 * (8 * a + bb) + 3 * c + d) * L
+                        else:
+                            start = KE + (9 * (8 * bb + a) + 3 * d + c) * L
+                        if n == L:
+                            add_lanes(entries, first, w, start)
                         else:
                             for l in range(n):
-                                entries[i0 + ax + l] += w[
-                                    KE + (9 * (8 * bb + a) + 3 * d + c) * L + l
-                                ]
+                                entries[first + l] += w[start + l]
 
 
 @nb.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")

@@ -10,6 +10,7 @@ element by element.
 from __future__ import annotations
 
 import numba as nb
+import numpy as np
 
 L = 16
 # Places of the lanes in the work array: node positions (reference, current), shape gradients,
@@ -22,6 +23,8 @@ ROWS = 156 + 64 * 9
 # Masking an index with this does not change it and proves to the compiler that it is not negative:
 # negative indices count from the end, and testing for them forbids vector instructions.
 LARGEST = 0x7FFFFFFF
+# Bits from which a third of those of J is taken: J^(-1/3) to 4 %.
+_CUBE_ROOT = 0x54A10000
 # Division by zero must not raise, or nothing around it becomes a vector instruction.
 FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
@@ -64,6 +67,8 @@ def jacobians(dn, w):
 def kinematics(dn, w):
     """Spatial shape gradients, b = F F^T (xx yy zz yz xz xy), reference determinant and J."""
     jacobians(dn, w)
+    # of the lanes' precision: whole numbers and literals would make all else double
+    one, eighth = w.dtype.type(1), w.dtype.type(0.125)
     for l in range(L):
         r00, r01, r02 = w[HALF + l], w[HALF + L + l], w[HALF + 2 * L + l]
         r10, r11, r12 = w[HALF + 3 * L + l], w[HALF + 4 * L + l], w[HALF + 5 * L + l]
@@ -76,7 +81,7 @@ def kinematics(dn, w):
         i10 = r12 * r20 - r10 * r22
         i20 = r10 * r21 - r11 * r20
         det = r00 * i00 + r01 * i10 + r02 * i20
-        s = 1 / det
+        s = one / det
         i00 *= s
         i10 *= s
         i20 *= s
@@ -106,9 +111,9 @@ def kinematics(dn, w):
         i10 = c12 * c20 - c10 * c22
         i20 = c10 * c21 - c11 * c20
         det_cur = c00 * i00 + c01 * i10 + c02 * i20
-        w[DET + l] = det * 0.125
+        w[DET + l] = det * eighth
         w[JAC + l] = det_cur / det
-        s = 1 / det_cur
+        s = one / det_cur
         i00 *= s
         i10 *= s
         i20 *= s
@@ -139,10 +144,22 @@ def isochoric_stress(c10, c01, w):
     ``trace_bar`` receives the trace of the stress before its deviator is taken, as the tangent
     needs it.
     """
-    third = w.dtype.type(1 / 3)
+    real = w.dtype.type
+    one, two, third = real(1), real(2), real(1 / 3)
+    second, cubic = real(2 / 9), real(14 / 81)
     for l in range(L):
         # inverted elements are found by the caller; here they must only not raise
-        w[TRACE + l] = max(w[JAC + l], third * 1e-3) ** (-2 * third)
+        j = max(w[JAC + l], third * real(1e-3))
+        # J^(-1/3), as a power does not become a vector instruction: the bits of a number are nearly
+        # its logarithm, of which shifts take a third; then two steps of fourth order
+        bits = np.float32(j).view(np.int32)
+        part = (bits >> 2) + (bits >> 4) + (bits >> 6) + (bits >> 8) + (bits >> 10) + (bits >> 12)
+        y = real(np.int32(_CUBE_ROOT - part).view(np.float32))
+        off = one - j * y * y * y
+        y += y * off * (third + off * (second + off * cubic))
+        off = one - j * y * y * y
+        y += y * off * (third + off * (second + off * cubic))
+        w[TRACE + l] = y * y
     for l in range(L):
         s = w[TRACE + l]
         b0, b1, b2 = w[B + l] * s, w[B + L + l] * s, w[B + 2 * L + l] * s
@@ -154,17 +171,17 @@ def isochoric_stress(c10, c01, w):
         q3 = b5 * b4 + b1 * b3 + b3 * b2
         q4 = b0 * b4 + b5 * b3 + b4 * b2
         q5 = b0 * b5 + b5 * b1 + b4 * b3
-        t0 = 2 * (c10 * b0 + c01 * (i1 * b0 - q0))
-        t1 = 2 * (c10 * b1 + c01 * (i1 * b1 - q1))
-        t2 = 2 * (c10 * b2 + c01 * (i1 * b2 - q2))
+        t0 = two * (c10 * b0 + c01 * (i1 * b0 - q0))
+        t1 = two * (c10 * b1 + c01 * (i1 * b1 - q1))
+        t2 = two * (c10 * b2 + c01 * (i1 * b2 - q2))
         trace = t0 + t1 + t2
         mean = trace * third
         w[TAU + l] = t0 - mean
         w[TAU + L + l] = t1 - mean
         w[TAU + 2 * L + l] = t2 - mean
-        w[TAU + 3 * L + l] = 2 * (c10 * b3 + c01 * (i1 * b3 - q3))
-        w[TAU + 4 * L + l] = 2 * (c10 * b4 + c01 * (i1 * b4 - q4))
-        w[TAU + 5 * L + l] = 2 * (c10 * b5 + c01 * (i1 * b5 - q5))
+        w[TAU + 3 * L + l] = two * (c10 * b3 + c01 * (i1 * b3 - q3))
+        w[TAU + 4 * L + l] = two * (c10 * b4 + c01 * (i1 * b4 - q4))
+        w[TAU + 5 * L + l] = two * (c10 * b5 + c01 * (i1 * b5 - q5))
         w[TRACE + l] = trace
         w[B + l], w[B + L + l], w[B + 2 * L + l] = b0, b1, b2
         w[B + 3 * L + l], w[B + 4 * L + l], w[B + 5 * L + l] = b3, b4, b5
@@ -177,7 +194,8 @@ def elasticity(c01, w):
     c = P : cbar : P + 2/3 tr(taubar) P - 2/3 (I x tau + tau x I) + p J (I x I - 2 II), with
     cbar = 4 C01 (bbar x bbar - bbar (.) bbar) and P the deviatoric projector.
     """
-    third = w.dtype.type(1 / 3)
+    real = w.dtype.type
+    two, four, third, inhalf = real(2), real(4), real(1 / 3), real(0.5)
     for l in range(L):
         weight = w[DET + l]
         b0, b1, b2, b3, b4, b5 = (
@@ -188,8 +206,8 @@ def elasticity(c01, w):
             w[B + 4 * L + l],
             w[B + 5 * L + l],
         )
-        h = 4 * c01
-        half = h * 0.5
+        h = four * c01
+        half = inhalf * h
         # cbar; an off-diagonal strain e_ij enters as engineering shear 2 e_ij
         m01 = h * (b0 * b1 - b5 * b5)
         m02 = h * (b0 * b2 - b4 * b4)
@@ -217,34 +235,34 @@ def elasticity(c01, w):
         s3 *= third
         s4 *= third
         s5 *= third
-        t23 = 2 * third
+        t23 = two * third
         t0, t1, t2 = t23 * w[TAU + l], t23 * w[TAU + L + l], t23 * w[TAU + 2 * L + l]
         t3, t4, t5 = t23 * w[TAU + 3 * L + l], t23 * w[TAU + 4 * L + l], t23 * w[TAU + 5 * L + l]
         shear = t23 * w[TRACE + l]
         pj = w[PRESSURE + l] * w[JAC + l]
         diag = total + t23 * shear - pj
         off = total - third * shear + pj
-        w[CC + l] = weight * (diag - 2 * s0 - 2 * t0)
+        w[CC + l] = weight * (diag - two * s0 - two * t0)
         w[CC + L + l] = weight * (m01 + off - s0 - s1 - t0 - t1)
         w[CC + 2 * L + l] = weight * (m02 + off - s0 - s2 - t0 - t2)
         w[CC + 3 * L + l] = weight * (m03 - s3 - t3)
         w[CC + 4 * L + l] = weight * (-s4 - t4)
         w[CC + 5 * L + l] = weight * (-s5 - t5)
-        w[CC + 6 * L + l] = weight * (diag - 2 * s1 - 2 * t1)
+        w[CC + 6 * L + l] = weight * (diag - two * s1 - two * t1)
         w[CC + 7 * L + l] = weight * (m12 + off - s1 - s2 - t1 - t2)
         w[CC + 8 * L + l] = weight * (-s3 - t3)
         w[CC + 9 * L + l] = weight * (m14 - s4 - t4)
         w[CC + 10 * L + l] = weight * (-s5 - t5)
-        w[CC + 11 * L + l] = weight * (diag - 2 * s2 - 2 * t2)
+        w[CC + 11 * L + l] = weight * (diag - two * s2 - two * t2)
         w[CC + 12 * L + l] = weight * (-s3 - t3)
         w[CC + 13 * L + l] = weight * (-s4 - t4)
         w[CC + 14 * L + l] = weight * (m25 - s5 - t5)
-        w[CC + 15 * L + l] = weight * (m33 + 0.5 * shear - pj)
+        w[CC + 15 * L + l] = weight * (m33 + inhalf * shear - pj)
         w[CC + 16 * L + l] = weight * m34
         w[CC + 17 * L + l] = weight * m35
-        w[CC + 18 * L + l] = weight * (m44 + 0.5 * shear - pj)
+        w[CC + 18 * L + l] = weight * (m44 + inhalf * shear - pj)
         w[CC + 19 * L + l] = weight * m45
-        w[CC + 20 * L + l] = weight * (m55 + 0.5 * shear - pj)
+        w[CC + 20 * L + l] = weight * (m55 + inhalf * shear - pj)
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
@@ -354,3 +372,47 @@ def add_stiffness(w):
                     + g2 * w[HALF + 8 * L + l]
                     + g
                 )
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
+def add_volume_gradient(w):
+    """Add one Gauss point to the gradient of the elements' volumes; J holds its weight, too."""
+    # two nodes at a time: of shorter loops the compiler makes single operations
+    for a in range(4):
+        for l in range(L):
+            j = w[JAC + l]
+            w[FE + 3 * a * L + l] += w[GRAD + 3 * a * L + l] * j
+            w[FE + (3 * a + 1) * L + l] += w[GRAD + (3 * a + 1) * L + l] * j
+            w[FE + (3 * a + 2) * L + l] += w[GRAD + (3 * a + 2) * L + l] * j
+            w[FE + (3 * a + 12) * L + l] += w[GRAD + (3 * a + 12) * L + l] * j
+            w[FE + (3 * a + 13) * L + l] += w[GRAD + (3 * a + 13) * L + l] * j
+            w[FE + (3 * a + 14) * L + l] += w[GRAD + (3 * a + 14) * L + l] * j
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
+def add_penalty(penalty, w):
+    """Add penalty / V times the volume gradient twice to the node blocks 8 a + b <= a."""
+    for b in range(8):
+        for l in range(L):
+            s = penalty / w[V0 + l]
+            w[HALF + l] = s * w[FE + 3 * b * L + l]
+            w[HALF + L + l] = s * w[FE + (3 * b + 1) * L + l]
+            w[HALF + 2 * L + l] = s * w[FE + (3 * b + 2) * L + l]
+        for a in range(b, 8):
+            m = 8 * a + b
+            for l in range(L):
+                f0, f1, f2 = (
+                    w[FE + 3 * a * L + l],
+                    w[FE + (3 * a + 1) * L + l],
+                    w[FE + (3 * a + 2) * L + l],
+                )
+                h0, h1, h2 = w[HALF + l], w[HALF + L + l], w[HALF + 2 * L + l]
+                w[KE + (9 * m + 0) * L + l] += f0 * h0
+                w[KE + (9 * m + 1) * L + l] += f0 * h1
+                w[KE + (9 * m + 2) * L + l] += f0 * h2
+                w[KE + (9 * m + 3) * L + l] += f1 * h0
+                w[KE + (9 * m + 4) * L + l] += f1 * h1
+                w[KE + (9 * m + 5) * L + l] += f1 * h2
+                w[KE + (9 * m + 6) * L + l] += f2 * h0
+                w[KE + (9 * m + 7) * L + l] += f2 * h1
+                w[KE + (9 * m + 8) * L + l] += f2 * h2

@@ -20,8 +20,8 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from .intrinsics import prefetch
 from .lanes import FAST, LARGEST, L
-from .prefetch import prefetch
 
 #: Nodes below which a grid is left to one thread: to wake others takes longer than they save.
 _NODES_OF_ONE_THREAD = 20000
@@ -42,9 +42,9 @@ class Stencil(NamedTuple):
     scale
         [z, y, row of the block, x], x filled up to whole lanes.
     diagonal
-        Block of the node itself, [z, y, 3 * row + column, x], and what all others of its row lost by
-        rounding: a displacement that is the same everywhere meets the exact forces, a smooth one
-        nearly so.
+        Block of the node itself, [z, y, 3 * row + column, x], and what all others of its row lost
+        by rounding: a displacement that is the same everywhere meets the exact forces, a smooth
+        one nearly so.
     """
 
     entries: NDArray[np.int16]
@@ -325,7 +325,7 @@ def constrain(plane: NDArray[np.floating], free: NDArray[np.bool_], k: int) -> N
 
 @nb.njit(parallel=True, cache=True)
 def _constrain(plane, free, whole, k):
-    """``whole`` tells where all of a grid row is free, from the plane below k on if there is one."""
+    """``whole`` tells where all of a grid row is free, from the plane below k on."""
     _, nz1, ny1, nx1 = free.shape
     first = max(k - 1, 0)
     for j in nb.prange(len(plane)):

@@ -1,0 +1,60 @@
+"""Instructions of the processor that numba has no function for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import extending
+from numba.core import types
+
+from .lanes import L
+
+# By its own annotations callers would have to pass the typing context.
+intrinsic: Any = extending.intrinsic
+
+
+def _address(context, builder, kind, array, index):
+    return builder.gep(context.make_array(kind)(context, builder, array).data, [index])
+
+
+@intrinsic
+def prefetch(typing_context, array, index):
+    """Ask the memory for the element ``index`` of a one-dimensional array, which need not exist."""
+
+    def generate(context, builder, signature, arguments):
+        address = _address(context, builder, signature.args[0], *arguments)
+        address = builder.bitcast(address, ir.IntType(8).as_pointer())
+        number = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [address.type, number, number, number])
+        function = builder.module.declare_intrinsic("llvm.prefetch", [address.type], kind)
+        # for reading, to be kept, data
+        builder.call(function, [address, number(0), number(3), number(1)])
+        return context.get_dummy_value()
+
+    return types.void(array, index), generate
+
+
+@intrinsic
+def add_lanes(typing_context, target, first, source, start):
+    """Add source[start : start + L] to target[first : first + L]; both one-dimensional.
+
+    A loop over so few elements would become single additions: the compiler cannot know that the
+    arrays do not overlap.
+    """
+
+    def generate(context, builder, signature, arguments):
+        kind = ir.VectorType(context.get_value_type(target.dtype), L)
+        size = context.get_abi_sizeof(context.get_value_type(target.dtype))
+        there, here = (
+            builder.bitcast(
+                _address(context, builder, signature.args[n], arguments[n], arguments[n + 1]),
+                kind.as_pointer(),
+            )
+            for n in (0, 2)
+        )
+        total = builder.fadd(builder.load(there, align=size), builder.load(here, align=size))
+        builder.store(total, there, align=size)
+        return context.get_dummy_value()
+
+    return types.void(target, first, source, start), generate
