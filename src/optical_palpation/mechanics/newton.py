@@ -78,7 +78,7 @@ class Tolerances:
 
 
 #: How much further from balance an equilibrium on the way may be, a smaller load or a coarser grid.
-_ON_THE_WAY = 10.0
+_ON_THE_WAY = 100.0
 
 
 def on_the_way(tolerances: Tolerances, problem: LayerProblem) -> Tolerances:
