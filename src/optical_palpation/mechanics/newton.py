@@ -192,7 +192,7 @@ def _search(
     solution: tuple[NDArray[np.floating], NDArray[np.floating]],
     highest: float,
     lenient: bool,
-) -> tuple[Balance, Array, float] | None:
+) -> tuple[Balance, Array] | None:
     """Take the largest fraction of a Newton step that leads on (``state`` changed in place).
 
     What it leaves out of balance must be less than ``highest``, the more so the larger the
@@ -202,7 +202,7 @@ def _search(
     Returns
     -------
     tuple
-        The new balance, the new direction of friction and the fraction; None if there is none.
+        The new balance and the new direction of friction; None if there is none.
     """
     du, dp = solution
     step = system.to_cartesian(du)
@@ -223,7 +223,7 @@ def _search(
             and after.imbalance < growth * highest
         ):
             state.u, state.p, state.normal_force = trial.u, trial.p, trial.normal_force
-            return after, turned, fraction
+            return after, turned
     return None
 
 
@@ -251,7 +251,6 @@ def equilibrate(
     krylov = 0
     errors: list[float] = []
     imbalances: list[float] = []
-    linear = tolerances.linear
     least = _DAMPING * problem.shear_modulus / float(np.median(problem.grid.thickness)) ** 2
     damping = 0.0
     for iteration in range(tolerances.iterations):
@@ -270,7 +269,7 @@ def equilibrate(
         krylov = 0
         for _ in range(_ATTEMPTS):
             system = assemble(problem, state, now, solver, damping)
-            du, dp, count = solver.solve(system, linear)
+            du, dp, count = solver.solve(system, tolerances.linear)
             krylov += count
             if not (np.isfinite(du).all() and np.isfinite(dp).all()):
                 raise NotConverged("the linear system could not be solved")
@@ -284,11 +283,7 @@ def equilibrate(
             damping = max(least, 5.0 * damping)
         else:
             raise NotConverged("no step leads nearer to equilibrium")
-        after, direction, fraction = found
-        # a step that must be cut may be the fault of its linear solution
-        linear = (
-            tolerances.linear if fraction == 1.0 else max(0.1 * linear, 1e-3 * tolerances.linear)
-        )
+        after, direction = found
         damping *= 0.5 * min(1.0, after.imbalance / now.imbalance)
         if damping < 0.1 * least:
             damping = 0.0
