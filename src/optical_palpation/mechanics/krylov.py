@@ -22,8 +22,10 @@ Vector = NDArray[np.floating]
 
 #: Penalty of the displacement block in units of the shear modulus.
 _GAMMA = 3.0
-#: Krylov iterations at which a linear solve ends whatever it has reached.
-_LONGEST = 25
+#: Krylov iterations at which a linear solve ends whatever it has reached. Only a layer that snaps
+#: wants more, its tangent being indefinite: a better solution of that brings Newton's method no
+#: nearer.
+_LONGEST = 10
 
 
 class MultigridSolver:
