@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numba as nb
 import numpy as np
@@ -43,12 +44,13 @@ class Imprint:
     unloaded: Array
     loaded: Array
     motion: Array | None = None
-    _coefficients: tuple[Array, Array] = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def _coefficients(self) -> tuple[Array, Array]:
+        """Those of the unloaded map's spline, and how they change."""
         start = spline_filter(np.asarray(self.unloaded, float), order=3, mode="mirror")
         end = spline_filter(np.asarray(self.loaded, float), order=3, mode="mirror")
-        object.__setattr__(self, "_coefficients", (start, end - start))
+        return start, end - start
 
     def smoothed(self, sigma: float) -> Imprint:
         """Return the imprint smoothed by a Gaussian of standard deviation ``sigma``, mm."""

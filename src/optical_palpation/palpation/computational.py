@@ -502,11 +502,14 @@ def _maps(
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
     moved = surface["y"] - grid.y[:, None], surface["x"] - grid.x
     lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
-    reference = target.copy()
+    reference = target
     for _ in range(40):  # the material point that sits at each laboratory point
+        before = reference
         reference = target - np.stack(
-            [_interpolated(grid, shift, np.clip(reference, lower, upper)) for shift in moved], -1
+            [_interpolated(grid, shift, np.clip(before, lower, upper)) for shift in moved], -1
         )
+        if (np.abs(reference - before) < 1e-8 * (upper - lower)).all():
+            break
     tolerance = 1e-6 * (upper - lower)
     outside = ((reference < lower - tolerance) | (reference > upper + tolerance)).any(-1)
     reference = np.clip(reference, lower, upper)

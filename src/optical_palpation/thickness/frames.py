@@ -103,7 +103,10 @@ def on_grid(thickness: xr.DataArray) -> xr.DataArray:
         )
     for axis in ("x", "y"):
         _ascending(thickness[axis].values, axis, thickness.sizes[axis], "thickness map")
-    return thickness.transpose("y", "x").sortby(["y", "x"])
+    thickness = thickness.transpose("y", "x")
+    if all(thickness[axis].values[0] < thickness[axis].values[-1] for axis in ("x", "y")):
+        return thickness
+    return thickness.sortby(["y", "x"])
 
 
 def inside_layer(thickness: xr.DataArray) -> NDArray[np.bool_]:
