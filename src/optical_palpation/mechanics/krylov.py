@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .grid import LayerGrid
 from .multigrid import Hierarchy
 from .schur import SchurComplement
-from .stencil import Stencil, halo_zeros, interior, multiply, store, threads_for
+from .stencil import Stencil, halo_zeros, interior, store, subtract_product
 from .system import NewtonSystem
 
 Vector = NDArray[np.floating]
@@ -46,8 +46,7 @@ class MultigridSolver:
 
     def store(self, k: int, plane: Vector) -> None:
         """Take plane k of the displacement block."""
-        with threads_for(self.hierarchy.levels[0].node_shape):
-            store(plane, self.stencil, k)
+        store(plane, self.stencil, k)
 
     def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Vector, Vector, int]:
         """Return the step (du in contact coordinates, dp) and the number of iterations.
@@ -55,10 +54,6 @@ class MultigridSolver:
         ``tolerance`` is the reduction of the residual of both equations together, each pressure
         equation weighted by (mu + gamma) / V^(1/3) to make it a force.
         """
-        with threads_for(system.rhs.shape[1:]):
-            return self._solve(system, tolerance)
-
-    def _solve(self, system: NewtonSystem, tolerance: float) -> tuple[Vector, Vector, int]:
         f32 = np.float32
         self.hierarchy.update(system.free)
         free = system.free.astype(f32)
@@ -68,8 +63,8 @@ class MultigridSolver:
         weight = f32(self.shear_modulus + system.gamma) / np.cbrt(volume)
         self.schur.prepare(volume, system.bulk_modulus)
         shape = system.rhs.shape[1:]
-        x, y = halo_zeros(shape), halo_zeros(shape)
-        inside, product = interior(x, shape), interior(y, shape)
+        x, b, r = halo_zeros(shape), halo_zeros(shape), halo_zeros(shape)
+        inside, pushed, left = (interior(v, shape) for v in (x, b, r))
         size = free.size
 
         def split(v: Vector) -> tuple[Vector, Vector]:
@@ -80,8 +75,9 @@ class MultigridSolver:
             out = np.empty_like(v)
             out_u, out_p = split(out)
             inside[:] = u
-            multiply(system.stencil, x, y)
-            out_u[:] = product + free * system.pressure_force(coupling * p)
+            pushed[:] = -free * system.pressure_force(coupling * p)
+            subtract_product(system.stencil, x, b, r)
+            out_u[:] = -left
             out_p[:] = weight * (system.volume_change(u) - compressibility * p)
             return out
 

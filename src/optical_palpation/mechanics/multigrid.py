@@ -79,7 +79,7 @@ class Level:
         self.transfers = transfers
         self.stencil = st.empty_stencil(node_shape)
         self.inverse = np.empty_like(self.stencil.diagonal)
-        #: Solution, right-hand side, smoothing direction; and the residual or the next solution.
+        #: Solution, right-hand side, smoothing direction, residual.
         self.x, self.b, self.d, self.r = (st.halo_zeros(node_shape) for _ in range(4))
         self.largest = 0.0
         self.mode: Vector | None = None
@@ -94,9 +94,11 @@ class Level:
             self.mode = st.halo_zeros(self.node_shape)
             inside = st.interior(self.mode, self.node_shape)
             inside[:] = rng.standard_normal(inside.shape, np.float32)
+        self.b[:] = 0
         for _ in range(steps):
-            st.multiply(self.stencil, self.mode, self.r)
-            st.first_step(self.inverse, self.r, self.d, self.mode, np.float32(1))
+            st.subtract_product(self.stencil, self.mode, self.b, self.r)
+            self.mode[:] = 0
+            self._step(self.r, 0.0, 1.0, self.mode)
             size = float(np.linalg.norm(self.mode.ravel()))
             self.mode /= np.float32(size)
         self.largest = 1.1 * size
@@ -108,26 +110,21 @@ class Level:
         sigma = centre / half
         rho = 1 / sigma
         if from_zero:
-            st.first_step(self.inverse, self.b, self.d, self.x, np.float32(1 / centre))
+            self.x[:] = 0
+            self._step(self.b, 0.0, 1 / centre, self.x)
         else:
-            self._step(0.0, 1 / centre)
+            st.subtract_product(self.stencil, self.x, self.b, self.r)
+            self._step(self.r, 0.0, 1 / centre, self.x)
         for _ in range((_BEFORE if from_zero else _AFTER) - 1):
             new = 1 / (2 * sigma - rho)
-            self._step(new * rho, 2 * new / half)
+            st.subtract_product(self.stencil, self.x, self.b, self.r)
+            self._step(self.r, new * rho, 2 * new / half, self.x)
             rho = new
 
-    def _step(self, keep: float, gain: float) -> None:
-        st.smoothing_step(
-            self.stencil,
-            self.inverse,
-            self.x,
-            self.b,
-            self.d,
-            np.float32(keep),
-            np.float32(gain),
-            self.r,
-        )
-        self.x, self.r = self.r, self.x
+    def _step(self, residual: Vector, keep: float, gain: float, x: Vector) -> None:
+        """Go on from x in the direction that the residual gives."""
+        f32 = np.float32
+        st.smoothing_step(self.inverse, residual, f32(keep), f32(gain), self.d, x)
 
 
 class Hierarchy:

@@ -18,6 +18,7 @@ from .contact import (
 )
 from .elements import GRADIENTS, internal_force
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
+from .stencil import threads_for
 from .system import NewtonSystem, assemble
 
 Array = NDArray[np.float64]
@@ -246,6 +247,17 @@ def equilibrate(
     NotConverged
         When the iterations run out, an element turns inside out or numbers overflow.
     """
+    with threads_for(problem.grid.node_shape):
+        return _newton(problem, state, solver, tolerances, on_iteration)
+
+
+def _newton(
+    problem: LayerProblem,
+    state: LayerState,
+    solver: LinearSolver,
+    tolerances: Tolerances,
+    on_iteration: Callable[[int, Balance, int], None] | None,
+) -> int:
     direction = friction_direction(state.slip)
     now = balance(problem, state, direction)
     krylov = 0

@@ -156,20 +156,6 @@ def _product(stencil, x, k, j, out):
 
 
 @nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
-def multiply(stencil, x, y):
-    """Y = S x."""
-    nz1, ny1, _, width = stencil.scale.shape
-    for row in nb.prange(nz1 * ny1):
-        k, j = row // ny1, row % ny1
-        product = np.empty((3, width), np.float32)
-        _product(stencil, x, k, j, product)
-        for c in range(3):
-            line, from_ = y[c, k + 1, j + 1], product[c]
-            for i in range(width):
-                line[i + 1] = from_[i]
-
-
-@nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
 def subtract_product(stencil, x, b, r):
     """R = b - S x."""
     nz1, ny1, _, width = stencil.scale.shape
@@ -184,44 +170,24 @@ def subtract_product(stencil, x, b, r):
 
 
 @nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
-def first_step(inverse, b, d, x, gain):
-    """X = d = gain D^-1 b."""
+def smoothing_step(inverse, r, keep, gain, d, x):
+    """D = keep d + gain D^-1 r, x = x + d; D on the right the block diagonal."""
     nz1, ny1, _, width = inverse.shape
     for row in nb.prange(nz1 * ny1):
         k, j = row // ny1, row % ny1
-        b0, b1, b2 = b[0, k + 1, j + 1], b[1, k + 1, j + 1], b[2, k + 1, j + 1]
+        r0, r1, r2 = r[0, k + 1, j + 1], r[1, k + 1, j + 1], r[2, k + 1, j + 1]
+        change = np.empty(width, np.float32)
         for c in range(3):
             line, step = x[c, k + 1, j + 1], d[c, k + 1, j + 1]
             v0, v1, v2 = inverse[k, j, 3 * c], inverse[k, j, 3 * c + 1], inverse[k, j, 3 * c + 2]
             for i in range(width):
-                step[i + 1] = gain * (v0[i] * b0[i + 1] + v1[i] * b1[i + 1] + v2[i] * b2[i + 1])
+                change[i] = gain * (v0[i] * r0[i + 1] + v1[i] * r1[i + 1] + v2[i] * r2[i + 1])
+            if keep != 0:  # d may be anything at first
+                for i in range(width):
+                    change[i] += keep * step[i + 1]
             for i in range(width):
-                line[i + 1] = step[i + 1]
-
-
-@nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
-def smoothing_step(stencil, inverse, x, b, d, keep, gain, out):
-    """D = keep d + gain D^-1 (b - S x), out = x + d; D on the right the block diagonal."""
-    nz1, ny1, _, width = stencil.scale.shape
-    for row in nb.prange(nz1 * ny1):
-        k, j = row // ny1, row % ny1
-        r = np.empty((3, width), np.float32)
-        change = np.empty(width, np.float32)
-        _product(stencil, x, k, j, r)
-        r0, r1, r2 = r[0], r[1], r[2]
-        for c in range(3):
-            line, from_ = r[c], b[c, k + 1, j + 1]
-            for i in range(width):
-                line[i] = from_[i + 1] - line[i]
-        for c in range(3):
-            step, line, old = d[c, k + 1, j + 1], out[c, k + 1, j + 1], x[c, k + 1, j + 1]
-            v0, v1, v2 = inverse[k, j, 3 * c], inverse[k, j, 3 * c + 1], inverse[k, j, 3 * c + 2]
-            for i in range(width):
-                change[i] = v0[i] * r0[i] + v1[i] * r1[i] + v2[i] * r2[i]
-            for i in range(width):
-                step[i + 1] = keep * step[i + 1] + gain * change[i]
-            for i in range(width):
-                line[i + 1] = old[i + 1] + step[i + 1]
+                step[i + 1] = change[i]
+                line[i + 1] += change[i]
 
 
 @nb.njit(parallel=True, cache=True, error_model="numpy")
@@ -259,47 +225,6 @@ def invert_blocks(diagonal, inverse):
                     v[4 * c, i] = 0
 
 
-@nb.njit(error_model="numpy")
-def _store_row(row, entries, scale, diagonal, rounded, by_four):
-    """Round a row of nodes, [neighbour, 3 * row + column, x].
-
-    ``entries`` takes them four at a time; ``by_four`` is how ``rounded``, a row long, is read so.
-    """
-    # Loops run along the whole row: over the lanes alone they would not become vector instructions.
-    # A function of its own: in a parallel loop numba does not see that arrays share their memory.
-    width = row.shape[2]
-    factor = np.empty((3, width), np.float32)
-    scale[:] = 0
-    for m in range(27):
-        if m != 13:
-            for e in range(9):
-                line, largest = row[m, e], scale[e // 3]
-                for i in range(width):
-                    size = abs(line[i])
-                    largest[i] = size if size > largest[i] else largest[i]
-    for c in range(3):
-        for i in range(width):
-            scale[c, i] *= nb.float32(1 / _LARGEST_ENTRY)
-            factor[c, i] = nb.float32(1) / (scale[c, i] + nb.float32(1e-30))
-    for e in range(9):
-        near, s, f = diagonal[e], scale[e // 3], factor[e // 3]
-        for i in range(width):  # an assignment of arrays takes a second longer to compile
-            near[i] = row[13, e, i]
-        for m in range(27):
-            line = row[m, e]
-            if m == 13:
-                rounded[:] = 0
-            else:
-                for i in range(width):
-                    value = np.rint(line[i] * f[i])
-                    rounded[i] = np.int16(value)
-                    near[i] += line[i] - s[i] * value
-            place = ((m * _BLOCK + e * L) // 4) & LARGEST
-            for block in range(width // L):
-                for l in range(L // 4):
-                    entries[block, place + l] = by_four[block * (L // 4) + l]
-
-
 def store(plane: NDArray[np.floating], stencil: Stencil, k: int) -> None:
     """Round plane k, [y, neighbour, 3 * row + column, x], into a stencil."""
     rounded = np.empty((len(plane), plane.shape[3]), np.int16)
@@ -307,10 +232,48 @@ def store(plane: NDArray[np.floating], stencil: Stencil, k: int) -> None:
     _store(plane, entries, stencil.scale[k], stencil.diagonal[k], rounded, rounded.view(np.int64))
 
 
-@nb.njit(parallel=True, cache=True)
-def _store(plane, entries, scale, diagonal, rounded, by_four):
+@nb.njit(parallel=True, cache=True, error_model="numpy")
+def _store(plane, entries, scales, diagonals, rounded, by_four):
+    """``entries`` takes them four at a time; ``by_four`` is how ``rounded``, a row, is read so."""
+    width = plane.shape[3]
     for j in nb.prange(len(plane)):
-        _store_row(plane[j], entries[j], scale[j], diagonal[j], rounded[j], by_four[j])
+        # Loops run along the whole row: over the lanes alone they would not become vector
+        # instructions. Assignments of arrays would take seconds longer to compile.
+        row, scale, diagonal = plane[j], scales[j], diagonals[j]
+        whole, quarter, target = rounded[j], by_four[j], entries[j]
+        factor = np.empty((3, width), np.float32)
+        for c in range(3):
+            for i in range(width):
+                scale[c, i] = 0
+        for m in range(27):
+            if m != 13:
+                for e in range(9):
+                    line, largest = row[m, e], scale[e // 3]
+                    for i in range(width):
+                        size = abs(line[i])
+                        largest[i] = size if size > largest[i] else largest[i]
+        for c in range(3):
+            for i in range(width):
+                scale[c, i] *= nb.float32(1 / _LARGEST_ENTRY)
+                factor[c, i] = nb.float32(1) / (scale[c, i] + nb.float32(1e-30))
+        for e in range(9):
+            near, s, f = diagonal[e], scale[e // 3], factor[e // 3]
+            for i in range(width):
+                near[i] = row[13, e, i]
+            for m in range(27):
+                line = row[m, e]
+                if m == 13:
+                    for i in range(width):
+                        whole[i] = 0
+                else:
+                    for i in range(width):
+                        value = np.rint(line[i] * f[i])
+                        whole[i] = np.int16(value)
+                        near[i] += line[i] - s[i] * value
+                place = ((m * _BLOCK + e * L) // 4) & LARGEST
+                for block in range(width // L):
+                    for l in range(L // 4):
+                        target[block, place + l] = quarter[block * (L // 4) + l]
 
 
 def constrain(plane: NDArray[np.floating], free: NDArray[np.bool_], k: int) -> None:
