@@ -147,6 +147,7 @@ def peak_memory() -> int:
 
 def run_case(name: str, folder: Path, threads: int | None) -> dict:
     """Measure one case in this process, kernels compiled."""
+    from optical_palpation.mechanics.krylov import LONGEST
     from optical_palpation.palpation.memory import predicted_memory
 
     case = CASES[name]
@@ -181,7 +182,7 @@ def run_case(name: str, folder: Path, threads: int | None) -> dict:
         "newton_finest": sum(s["newton"] for s in steps if s["elements"] == elements),
         "krylov": probe.krylov,
         "krylov_largest": max(probe.krylov_each, default=0),
-        "krylov_slow_share": float(np.mean([k >= 10 for k in probe.krylov_each] or [0])),
+        "krylov_ended": sum(k >= LONGEST for k in probe.krylov_each),
         "peak_bytes": peak or peak_memory(),
         "predicted_bytes": held + predicted_memory((nz, ny, nx), case.solver),
         "shares": {phase: s / watched for phase, s in probe.seconds.items()},

@@ -27,8 +27,9 @@ NOTES = """\
 Elements: the outermost ones of free edges are finer, so that there are somewhat more than the
 nominal number. Unknowns: three displacements per node and a pressure per element. Seconds: wall
 clock of `computational_stress`, all of it, kernels compiled. Newton iterations: on all grids of the
-cascade, and on the finest. Krylov iterations: in all linear solves together, and in the longest
-(each to a relative residual of 1e-2). Peak memory: of the whole process (resident set);
+cascade, and on the finest. Krylov iterations: in all linear solves together, each to a relative
+residual of 1e-2, in the longest, and the number of those that took ten, where they end, as where
+a layer snaps. Peak memory: of the whole process (resident set);
 predicted is what the check before a run says, and what the process held before. The floor is the
 time in which the machine's memory could pass every array that a parallel kernel reads or
 writes just once per call, {bandwidth} GB/s at the best of five triads; small grids live in the
@@ -105,7 +106,7 @@ def _state(found: dict | None) -> str:
 def _sizes(cases: dict, record: dict) -> str:
     head = [
         "case", "elements", "unknowns", "seconds", "aim", "floor, s", "s per million unknowns",
-        "Newton: all, finest", "Krylov: all, longest", "peak memory, GB",
+        "Newton: all, finest", "Krylov: all, longest, ended", "peak memory, GB",
         "predicted, GB", "aim",
     ]  # fmt: skip
     rows = []
@@ -126,7 +127,7 @@ def _sizes(cases: dict, record: dict) -> str:
                 f"{found['bytes_moved'] / found['machine']['bandwidth']:.2f}",
                 f"{_per_million(found):.2f}",
                 f"{found['newton']}, {found['newton_finest']}",
-                f"{found['krylov']}, {found['krylov_largest']}",
+                f"{found['krylov']}, {found['krylov_largest']}, {found['krylov_ended']}",
                 f"{found['peak_bytes'] / 1e9:.2f}",
                 f"{found['predicted_bytes'] / 1e9:.2f}",
                 memory,

@@ -142,9 +142,10 @@ def direction_step(w: Array, direction: Array, dw: Array) -> Array:
 def smooth_maximum(t: Array, eps: Array) -> tuple[Array, Array]:
     """S(t) = (t + sqrt(t^2 + 4 eps^2)) / 2, and 1 - S'(t)."""
     root = np.sqrt(t**2 + 4 * eps**2)
-    # the small one of two terms is formed without cancellation
-    value = np.where(t > 0, 0.5 * (t + root), 2 * eps**2 / (root - t))
-    other = np.where(t > 0, 2 * eps**2 / (root * (root + t)), 0.5 * (1 - t / root))
+    # without cancellation: root - t = far for t < 0
+    far = root + np.abs(t)
+    value = np.where(t > 0, 0.5 * far, 2 * eps**2 / far)
+    other = np.where(t > 0, 2 * eps**2 / (root * far), 0.5 * far / root)
     return value, other
 
 

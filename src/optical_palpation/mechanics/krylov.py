@@ -25,7 +25,7 @@ _GAMMA = 3.0
 #: Krylov iterations at which a linear solve ends whatever it has reached. Only a layer that snaps
 #: wants more, its tangent being indefinite: a better solution of that brings Newton's method no
 #: nearer.
-_LONGEST = 10
+LONGEST = 10
 
 
 class MultigridSolver:
@@ -99,7 +99,7 @@ class MultigridSolver:
             return out
 
         rhs = np.concatenate([system.rhs.ravel(), (weight * system.volume_rhs).ravel()])
-        solution, iterations = gmres(operator, precondition, rhs, tolerance, _LONGEST)
+        solution, iterations = gmres(operator, precondition, rhs, tolerance, LONGEST)
         u, p = split(solution)
         return system.with_prescribed(u), p, iterations
 
