@@ -48,7 +48,7 @@ def found(elements: int, seconds: float) -> dict:
         "elements": elements, "unknowns": 4 * elements, "seconds": seconds, "newton": 30,
         "watched_seconds": seconds, "newton_finest": 5, "krylov": 99, "krylov_largest": 9,
         "peak_bytes": 1e9, "predicted_bytes": 1.1e9, "shares": {"assembly": 0.25},
-        "bytes_moved": 1e11, "force_mN": 400.0, "machine": MACHINE,
+        "bytes_moved": 1e11, "force_mN": 400.0, "machine": MACHINE, "krylov_ended": 3,
     }  # fmt: skip
 
 
@@ -63,6 +63,8 @@ def test_the_page_tells_failures_and_what_was_not_run():
     lines = page.splitlines()
     assert "no result within 600 s" in next(line for line in lines if "7 x 7 mm at" in line)
     assert "not run" in next(line for line in lines if "coin 10 um" in line)
-    assert "| 2.00 |" in next(line for line in lines if "coin 50 um" in line)  # the floor
+    coin = next(line for line in lines if "coin 50 um" in line)
+    assert "| 2.00 |" in coin  # the floor
+    assert "| 99, 9, 3 |" in coin
     del record["1,000,000"]
     assert "is not known" in performance_page.page(performance.CASES, record)
