@@ -111,15 +111,16 @@ class Level:
         rho = 1 / sigma
         if from_zero:
             self.x[:] = 0
-            self._step(self.b, 0.0, 1 / centre, self.x)
-        else:
-            st.subtract_product(self.stencil, self.x, self.b, self.r)
-            self._step(self.r, 0.0, 1 / centre, self.x)
+        self._step(self.b if from_zero else self.residual(), 0.0, 1 / centre, self.x)
         for _ in range((_BEFORE if from_zero else _AFTER) - 1):
             new = 1 / (2 * sigma - rho)
-            st.subtract_product(self.stencil, self.x, self.b, self.r)
-            self._step(self.r, new * rho, 2 * new / half, self.x)
+            self._step(self.residual(), new * rho, 2 * new / half, self.x)
             rho = new
+
+    def residual(self) -> Vector:
+        """Return b - S x, in r."""
+        st.subtract_product(self.stencil, self.x, self.b, self.r)
+        return self.r
 
     def _step(self, residual: Vector, keep: float, gain: float, x: Vector) -> None:
         """Go on from x in the direction that the residual gives."""
@@ -198,8 +199,7 @@ class Hierarchy:
         for level, coarser in pairwise(levels):
             with st.threads_for(level.node_shape):
                 level.smooth(from_zero=True)
-                st.subtract_product(level.stencil, level.x, level.b, level.r)
-                st.restrict(level.r, coarser.b, *_to_coarse(level))
+                st.restrict(level.residual(), coarser.b, *_to_coarse(level))
         coarsest = levels[-1]
         rhs = np.where(self._free, st.interior(coarsest.b, coarsest.node_shape), 0).ravel()
         solution = scipy.linalg.lu_solve(self._lu, rhs, check_finite=False)
