@@ -43,9 +43,12 @@ from .lanes import (
     isochoric_stress,
     kinematics,
 )
+from .parallel import in_parallel
 from .stencil import padded
 
 _G = 0.5 / np.sqrt(3.0)
+#: Element rows that one thread adds to the tangent in turn.
+_STRIP = 3
 
 
 def _shape_gradients() -> np.ndarray:
@@ -66,7 +69,7 @@ GRADIENTS = _shape_gradients()
 GRADIENTS32 = GRADIENTS.astype(np.float32)
 
 
-@nb.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
+@nb.njit(cache=True)
 def internal_force(nodes, u, p, c10, c01, dn, force, volume, volume_ref, min_jacobian):
     """Internal nodal force (mN), deformed and reference element volumes (mm^3).
 
@@ -83,148 +86,157 @@ def internal_force(nodes, u, p, c10, c01, dn, force, volume, volume_ref, min_jac
     min_jacobian
         Output, shape (nz, ny): smallest J at any Gauss point of each element row.
     """
-    nz, ny, nx = p.shape
+    nz, ny, _ = p.shape
     force[:] = 0
     for colour in range(4):
         k0, j0 = colour >> 1, colour & 1
-        nk, nj = (nz - k0 + 1) // 2, (ny - j0 + 1) // 2
-        for row in nb.prange(nk * nj):
-            k, j = k0 + 2 * (row // nj), j0 + 2 * (row % nj)
-            w = np.empty(ROWS * L)
-            smallest = 1e30
+        rows = ((nz - k0 + 1) // 2) * ((ny - j0 + 1) // 2)
+        in_parallel(
+            _force_rows,
+            rows,
+            (nodes, u, p, c10, c01, dn, force, volume, volume_ref, min_jacobian, k0, j0),
+        )
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
+def _force_rows(
+    nodes, u, p, c10, c01, dn, force, volume, volume_ref, min_jacobian, k0, j0, begin, end
+):
+    """Every second row of elements of every second layer, from (k0, j0): they share no nodes."""
+    _, ny, nx = p.shape
+    nj = (ny - j0 + 1) // 2
+    for row in range(begin, end):
+        k, j = k0 + 2 * (row // nj), j0 + 2 * (row % nj)
+        w = np.empty(ROWS * L)
+        smallest = 1e30
+        for i0 in range(0, nx, L):
+            i0 &= LARGEST
+            n = min(L, nx - i0)
+            gather(nodes, u, k, j, i0, nx, w)
+            for l in range(L):
+                w[PRESSURE + l] = p[k, j, min(i0 + l, nx - 1)]
+                w[V1 + l] = 0
+                w[V0 + l] = 0
+            w[FE : FE + 24 * L] = 0
+            for g in range(8):
+                kinematics(dn[g], w)
+                isochoric_stress(c10, c01, w)
+                for l in range(L):
+                    smallest = min(smallest, w[JAC + l])
+                for l in range(L):
+                    weight = w[DET + l]
+                    w[V0 + l] += weight
+                    w[V1 + l] += weight * w[JAC + l]
+                    hydrostatic = w[PRESSURE + l] * w[JAC + l]
+                    w[TAU + l] = (w[TAU + l] + hydrostatic) * weight
+                    w[TAU + L + l] = (w[TAU + L + l] + hydrostatic) * weight
+                    w[TAU + 2 * L + l] = (w[TAU + 2 * L + l] + hydrostatic) * weight
+                    w[TAU + 3 * L + l] *= weight
+                    w[TAU + 4 * L + l] *= weight
+                    w[TAU + 5 * L + l] *= weight
+                for a in range(8):
+                    for l in range(L):
+                        g0, g1, g2 = (
+                            w[GRAD + 3 * a * L + l],
+                            w[GRAD + (3 * a + 1) * L + l],
+                            w[GRAD + (3 * a + 2) * L + l],
+                        )
+                        w[FE + 3 * a * L + l] += (
+                            w[TAU + l] * g0 + w[TAU + 5 * L + l] * g1 + w[TAU + 4 * L + l] * g2
+                        )
+                        w[FE + (3 * a + 1) * L + l] += (
+                            w[TAU + 5 * L + l] * g0 + w[TAU + L + l] * g1 + w[TAU + 3 * L + l] * g2
+                        )
+                        w[FE + (3 * a + 2) * L + l] += (
+                            w[TAU + 4 * L + l] * g0
+                            + w[TAU + 3 * L + l] * g1
+                            + w[TAU + 2 * L + l] * g2
+                        )
+            for l in range(n):
+                volume[k, j, i0 + l] = w[V1 + l]
+                volume_ref[k, j, i0 + l] = w[V0 + l]
+            for a in range(8):
+                kk, jj, di = k + (a >> 2), j + ((a >> 1) & 1), a & 1
+                for c in range(3):
+                    for l in range(n):
+                        force[c, kk, jj, i0 + l + di] += w[FE + (3 * a + c) * L + l]
+        min_jacobian[k, j] = smallest
+
+
+@nb.njit(cache=True)
+def _tangent_layer(nodes, u, p, c10, c01, gamma, dn, k, below, above, divergence):
+    """Add the element layer k to the stencils of the node planes k and k + 1, the latter new."""
+    material = (below.dtype.type(c10), below.dtype.type(c01), below.dtype.type(gamma))
+    # Strips of element rows, the even ones first: neighbouring strips share a row of nodes.
+    strips = (p.shape[1] + _STRIP - 1) // _STRIP
+    for odd in range(2):
+        in_parallel(
+            _tangent_strips,
+            (strips + 1 - odd) // 2,
+            (nodes, u, p, *material, dn, k, odd, below, above, divergence),
+        )
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
+def _tangent_strips(nodes, u, p, c10, c01, gamma, dn, k, odd, below, above, divergence, begin, end):
+    _, ny, nx = p.shape
+    for pair in range(begin, end):
+        w = np.empty(ROWS * L, below.dtype)
+        first = (2 * pair + odd) * _STRIP
+        last = min(first + _STRIP, ny)
+        for j in range(first + odd, last + 1 if last == ny or odd == 0 else last):
+            above[j] = 0
+            if k == 0:
+                below[j] = 0
+        for j in range(first, last):
             for i0 in range(0, nx, L):
                 i0 &= LARGEST
                 n = min(L, nx - i0)
                 gather(nodes, u, k, j, i0, nx, w)
                 for l in range(L):
                     w[PRESSURE + l] = p[k, j, min(i0 + l, nx - 1)]
-                    w[V1 + l] = 0
                     w[V0 + l] = 0
+                w[KE:] = 0
                 w[FE : FE + 24 * L] = 0
                 for g in range(8):
                     kinematics(dn[g], w)
                     isochoric_stress(c10, c01, w)
+                    elasticity(c01, w)
                     for l in range(L):
-                        smallest = min(smallest, w[JAC + l])
-                    for l in range(L):
-                        weight = w[DET + l]
-                        w[V0 + l] += weight
-                        w[V1 + l] += weight * w[JAC + l]
-                        hydrostatic = w[PRESSURE + l] * w[JAC + l]
-                        w[TAU + l] = (w[TAU + l] + hydrostatic) * weight
-                        w[TAU + L + l] = (w[TAU + L + l] + hydrostatic) * weight
-                        w[TAU + 2 * L + l] = (w[TAU + 2 * L + l] + hydrostatic) * weight
-                        w[TAU + 3 * L + l] *= weight
-                        w[TAU + 4 * L + l] *= weight
-                        w[TAU + 5 * L + l] *= weight
-                    for a in range(8):
-                        for l in range(L):
-                            g0, g1, g2 = (
-                                w[GRAD + 3 * a * L + l],
-                                w[GRAD + (3 * a + 1) * L + l],
-                                w[GRAD + (3 * a + 2) * L + l],
-                            )
-                            w[FE + 3 * a * L + l] += (
-                                w[TAU + l] * g0 + w[TAU + 5 * L + l] * g1 + w[TAU + 4 * L + l] * g2
-                            )
-                            w[FE + (3 * a + 1) * L + l] += (
-                                w[TAU + 5 * L + l] * g0
-                                + w[TAU + L + l] * g1
-                                + w[TAU + 3 * L + l] * g2
-                            )
-                            w[FE + (3 * a + 2) * L + l] += (
-                                w[TAU + 4 * L + l] * g0
-                                + w[TAU + 3 * L + l] * g1
-                                + w[TAU + 2 * L + l] * g2
-                            )
-                for l in range(n):
-                    volume[k, j, i0 + l] = w[V1 + l]
-                    volume_ref[k, j, i0 + l] = w[V0 + l]
+                        w[V0 + l] += w[DET + l]
+                        pj = w[PRESSURE + l] * w[JAC + l]
+                        w[TAU + l] = (w[TAU + l] + pj) * w[DET + l]
+                        w[TAU + L + l] = (w[TAU + L + l] + pj) * w[DET + l]
+                        w[TAU + 2 * L + l] = (w[TAU + 2 * L + l] + pj) * w[DET + l]
+                        w[TAU + 3 * L + l] *= w[DET + l]
+                        w[TAU + 4 * L + l] *= w[DET + l]
+                        w[TAU + 5 * L + l] *= w[DET + l]
+                        w[JAC + l] *= w[DET + l]
+                    add_volume_gradient(w)
+                    add_stiffness(w)
+                add_penalty(gamma, w)
                 for a in range(8):
-                    kk, jj, di = k + (a >> 2), j + ((a >> 1) & 1), a & 1
                     for c in range(3):
                         for l in range(n):
-                            force[c, kk, jj, i0 + l + di] += w[FE + (3 * a + c) * L + l]
-            min_jacobian[k, j] = smallest
-
-
-@nb.njit(fastmath=FAST, error_model="numpy")
-def _tangent_row(nodes, u, p, material1, material2, penalty, dn, k, j, w, below, above, divergence):
-    """Add one row of elements to the stencils of the node planes below and above it."""
-    nx = p.shape[2]
-    for i0 in range(0, nx, L):
-        i0 &= LARGEST
-        n = min(L, nx - i0)
-        gather(nodes, u, k, j, i0, nx, w)
-        for l in range(L):
-            w[PRESSURE + l] = p[k, j, min(i0 + l, nx - 1)]
-            w[V0 + l] = 0
-        w[KE:] = 0
-        w[FE : FE + 24 * L] = 0
-        for g in range(8):
-            kinematics(dn[g], w)
-            isochoric_stress(material1, material2, w)
-            elasticity(material2, w)
-            for l in range(L):
-                w[V0 + l] += w[DET + l]
-                pj = w[PRESSURE + l] * w[JAC + l]
-                w[TAU + l] = (w[TAU + l] + pj) * w[DET + l]
-                w[TAU + L + l] = (w[TAU + L + l] + pj) * w[DET + l]
-                w[TAU + 2 * L + l] = (w[TAU + 2 * L + l] + pj) * w[DET + l]
-                w[TAU + 3 * L + l] *= w[DET + l]
-                w[TAU + 4 * L + l] *= w[DET + l]
-                w[TAU + 5 * L + l] *= w[DET + l]
-                w[JAC + l] *= w[DET + l]
-            add_volume_gradient(w)
-            add_stiffness(w)
-        add_penalty(penalty, w)
-        for a in range(8):
-            for c in range(3):
-                for l in range(n):
-                    divergence[k, j, 3 * a + c, i0 + l] = w[FE + (3 * a + c) * L + l]
-        for a in range(8):
-            az, ay, ax = a >> 2, (a >> 1) & 1, a & 1
-            row = (above if az else below)[j + ay]
-            for bb in range(8):
-                bz, by, bx = bb >> 2, (bb >> 1) & 1, bb & 1
-                blocks = row[9 * (bz - az + 1) + 3 * (by - ay + 1) + (bx - ax + 1)]
-                for c in range(3):
-                    for d in range(3):
-                        entries, first = blocks[3 * c + d], i0 + ax
-                        if bb <= a:
-                            start = KE + (9 * (8 * a + bb) + 3 * c + d) * L
-                        else:
-                            start = KE + (9 * (8 * bb + a) + 3 * d + c) * L
-                        if n == L:
-                            add_lanes(entries, first, w, start)
-                        else:
-                            for l in range(n):
-                                entries[first + l] += w[start + l]
-
-
-@nb.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
-def _tangent_layer(nodes, u, p, c10, c01, gamma, dn, k, below, above, divergence):
-    """Add the element layer k to the stencils of the node planes k and k + 1, the latter new."""
-    ny = p.shape[1]
-    dtype = below.dtype
-    material1, material2, penalty = dtype.type(c10), dtype.type(c01), dtype.type(gamma)
-    # Strips of element rows, the even ones first: neighbouring strips share a row of nodes.
-    width = 3
-    strips = (ny + width - 1) // width
-    for odd in range(2):
-        for pair in nb.prange((strips + 1 - odd) // 2):
-            first = (2 * pair + odd) * width
-            last = min(first + width, ny)
-            w = np.empty(ROWS * L, dtype)
-            for j in range(first + odd, last + 1 if last == ny or odd == 0 else last):
-                above[j] = 0
-                if k == 0:
-                    below[j] = 0
-            for j in range(first, last):
-                _tangent_row(
-                    nodes, u, p, material1, material2, penalty, dn, k, j, w, below, above,
-                    divergence,
-                )  # fmt: skip
+                            divergence[k, j, 3 * a + c, i0 + l] = w[FE + (3 * a + c) * L + l]
+                for a in range(8):
+                    az, ay, ax = a >> 2, (a >> 1) & 1, a & 1
+                    row = (above if az else below)[j + ay]
+                    for bb in range(8):
+                        bz, by, bx = bb >> 2, (bb >> 1) & 1, bb & 1
+                        blocks = row[9 * (bz - az + 1) + 3 * (by - ay + 1) + (bx - ax + 1)]
+                        for c in range(3):
+                            for d in range(3):
+                                entries, node = blocks[3 * c + d], i0 + ax
+                                if bb <= a:
+                                    start = KE + (9 * (8 * a + bb) + 3 * c + d) * L
+                                else:
+                                    start = KE + (9 * (8 * bb + a) + 3 * d + c) * L
+                                if n == L:
+                                    add_lanes(entries, node, w, start)
+                                else:
+                                    for l in range(n):
+                                        entries[node + l] += w[start + l]
 
 
 def tangent_planes(
@@ -265,14 +277,20 @@ def tangent_planes(
     yield below
 
 
-@nb.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
+@nb.njit(cache=True)
 def element_stress(nodes, u, p, c10, c01, dn, stress):
     """Volume-averaged Cauchy stress of each element, shape (6, nz, ny, nx), kPa.
 
     Components xx, yy, zz, yz, xz, xy; the average is over the deformed volume.
     """
-    nz, ny, nx = p.shape
-    for row in nb.prange(nz * ny):
+    nz, ny, _ = p.shape
+    in_parallel(_stress_rows, nz * ny, (nodes, u, p, c10, c01, dn, stress))
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
+def _stress_rows(nodes, u, p, c10, c01, dn, stress, begin, end):
+    _, ny, nx = p.shape
+    for row in range(begin, end):
         k, j = row // ny, row % ny
         w = np.empty(ROWS * L)
         for i0 in range(0, nx, L):

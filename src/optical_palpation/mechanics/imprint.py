@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
+from .parallel import in_parallel
+
 Array = NDArray[np.float64]
 
 #: Steps in which a point of the moving surface is tracked to full load; each reduces the error by
@@ -108,13 +110,18 @@ def _mirror(i, n):
     return 2 * (n - 1) - i if i > n - 1 else i
 
 
-@nb.njit(parallel=True, cache=True)
+@nb.njit(cache=True)
 def _spline(px, py, start, change, load, out):
+    in_parallel(_spline_points, px.size, (px, py, start, change, load, out))
+
+
+@nb.njit
+def _spline_points(px, py, start, change, load, out, begin, end):
     ny, nx = start.shape
-    for q in nb.prange(px.size):
+    wx, wy = np.empty((3, 4)), np.empty((3, 4))
+    for q in range(begin, end):
         x, y = min(max(px[q], 0.0), nx - 1.0), min(max(py[q], 0.0), ny - 1.0)
         i, j = min(int(x), nx - 2), min(int(y), ny - 2)
-        wx, wy = np.empty((3, 4)), np.empty((3, 4))
         _weights(x - i, wx)
         _weights(y - j, wy)
         h = hx = hy = hxx = hxy = hyy = 0.0

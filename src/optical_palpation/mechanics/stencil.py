@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from .intrinsics import prefetch
 from .lanes import FAST, LARGEST, L
+from .parallel import in_parallel
 
 #: Nodes below which a grid is left to one thread: to wake others takes longer than they save.
 _NODES_OF_ONE_THREAD = 20000
@@ -155,13 +156,19 @@ def _product(stencil, x, k, j, out):
             line[i] = f[i] * line[i] + (d0[i] * x0[i + 1] + d1[i] * x1[i + 1] + d2[i] * x2[i + 1])
 
 
-@nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
+@nb.njit(cache=True)
 def subtract_product(stencil, x, b, r):
     """R = b - S x."""
-    nz1, ny1, _, width = stencil.scale.shape
-    for row in nb.prange(nz1 * ny1):
+    nz1, ny1 = stencil.scale.shape[:2]
+    in_parallel(_subtract_rows, nz1 * ny1, (stencil, x, b, r))
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
+def _subtract_rows(stencil, x, b, r, begin, end):
+    _, ny1, _, width = stencil.scale.shape
+    product = np.empty((3, width), np.float32)
+    for row in range(begin, end):
         k, j = row // ny1, row % ny1
-        product = np.empty((3, width), np.float32)
         _product(stencil, x, k, j, product)
         for c in range(3):
             line, from_, less = r[c, k + 1, j + 1], b[c, k + 1, j + 1], product[c]
@@ -169,14 +176,20 @@ def subtract_product(stencil, x, b, r):
                 line[i + 1] = from_[i + 1] - less[i]
 
 
-@nb.njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
+@nb.njit(cache=True)
 def smoothing_step(inverse, r, keep, gain, d, x):
     """D = keep d + gain D^-1 r, x = x + d; D on the right the block diagonal."""
-    nz1, ny1, _, width = inverse.shape
-    for row in nb.prange(nz1 * ny1):
+    nz1, ny1 = inverse.shape[:2]
+    in_parallel(_smooth_rows, nz1 * ny1, (inverse, r, keep, gain, d, x))
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
+def _smooth_rows(inverse, r, keep, gain, d, x, begin, end):
+    _, ny1, _, width = inverse.shape
+    change = np.empty(width, np.float32)
+    for row in range(begin, end):
         k, j = row // ny1, row % ny1
         r0, r1, r2 = r[0, k + 1, j + 1], r[1, k + 1, j + 1], r[2, k + 1, j + 1]
-        change = np.empty(width, np.float32)
         for c in range(3):
             line, step = x[c, k + 1, j + 1], d[c, k + 1, j + 1]
             v0, v1, v2 = inverse[k, j, 3 * c], inverse[k, j, 3 * c + 1], inverse[k, j, 3 * c + 2]
@@ -190,13 +203,19 @@ def smoothing_step(inverse, r, keep, gain, d, x):
                 line[i + 1] += change[i]
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@nb.njit(cache=True)
 def invert_blocks(diagonal, inverse):
     """Invert the diagonal blocks; constrained unknowns (zero diagonal) get zero rows, columns."""
-    nz1, ny1, _, width = diagonal.shape
-    for row in nb.prange(nz1 * ny1):
+    nz1, ny1 = inverse.shape[:2]
+    in_parallel(_invert_rows, nz1 * ny1, (diagonal, inverse))
+
+
+@nb.njit(error_model="numpy")
+def _invert_rows(diagonal, inverse, begin, end):
+    _, ny1, _, width = diagonal.shape
+    a = np.empty((3, 3))
+    for row in range(begin, end):
         k, j = row // ny1, row % ny1
-        a = np.empty((3, 3))
         d, v = diagonal[k, j], inverse[k, j]
         for i in range(width):
             for c in range(9):
@@ -232,11 +251,16 @@ def store(plane: NDArray[np.floating], stencil: Stencil, k: int) -> None:
     _store(plane, entries, stencil.scale[k], stencil.diagonal[k], rounded, rounded.view(np.int64))
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy")
+@nb.njit(cache=True)
 def _store(plane, entries, scales, diagonals, rounded, by_four):
     """``entries`` takes them four at a time; ``by_four`` is how ``rounded``, a row, is read so."""
+    in_parallel(_store_rows, len(plane), (plane, entries, scales, diagonals, rounded, by_four))
+
+
+@nb.njit(error_model="numpy")
+def _store_rows(plane, entries, scales, diagonals, rounded, by_four, begin, end):
     width = plane.shape[3]
-    for j in nb.prange(len(plane)):
+    for j in range(begin, end):
         # Loops run along the whole row: over the lanes alone they would not become vector
         # instructions. Assignments of arrays would take seconds longer to compile.
         row, scale, diagonal = plane[j], scales[j], diagonals[j]
@@ -286,12 +310,17 @@ def constrain(plane: NDArray[np.floating], free: NDArray[np.bool_], k: int) -> N
         _constrain(plane, free, whole, k)
 
 
-@nb.njit(parallel=True, cache=True)
+@nb.njit(cache=True)
 def _constrain(plane, free, whole, k):
     """``whole`` tells where all of a grid row is free, from the plane below k on."""
+    in_parallel(_constrain_rows, len(plane), (plane, free, whole, k))
+
+
+@nb.njit
+def _constrain_rows(plane, free, whole, k, begin, end):
     _, nz1, ny1, nx1 = free.shape
     first = max(k - 1, 0)
-    for j in nb.prange(len(plane)):
+    for j in range(begin, end):
         for m in range(27):
             kk, jj, di = k + m // 9 - 1, j + (m // 3) % 3 - 1, m % 3 - 1
             if kk < 0 or kk >= nz1 or jj < 0 or jj >= ny1:
@@ -306,15 +335,21 @@ def _constrain(plane, free, whole, k):
                             line[i] = 0
 
 
-@nb.njit(parallel=True, cache=True)
+@nb.njit(cache=True)
 def prolong_add(coarse, fine, lo_z, w_z, lo_y, w_y, lo_x, w_x):
     """Add the trilinear interpolation of a coarse vector: node n lies between lo and lo + 1."""
-    nz1, ny1, nx1 = len(lo_z), len(lo_y), len(lo_x)
-    for row in nb.prange(nz1 * ny1):
+    rows = len(lo_z) * len(lo_y)
+    in_parallel(_prolong_rows, rows, (coarse, fine, lo_z, w_z, lo_y, w_y, lo_x, w_x))
+
+
+@nb.njit
+def _prolong_rows(coarse, fine, lo_z, w_z, lo_y, w_y, lo_x, w_x, begin, end):
+    ny1, nx1 = len(lo_y), len(lo_x)
+    line = np.empty(coarse.shape[3], coarse.dtype)
+    for row in range(begin, end):
         k, j = row // ny1, row % ny1
         kc, jc = lo_z[k] + 1, lo_y[j] + 1
         wk, wj = w_z[k], w_y[j]
-        line = np.empty(coarse.shape[3], coarse.dtype)
         for c in range(3):
             for i in range(len(line)):
                 line[i] = (1 - wk) * (
@@ -325,14 +360,20 @@ def prolong_add(coarse, fine, lo_z, w_z, lo_y, w_y, lo_x, w_x):
                 fine[c, k + 1, j + 1, i + 1] += (1 - w_x[i]) * line[ic] + w_x[i] * line[ic + 1]
 
 
-@nb.njit(parallel=True, cache=True)
+@nb.njit(cache=True)
 def restrict(fine, coarse, first_z, p_z, first_y, p_y, first_x, p_x):
     """Transpose of the interpolation: coarse node N sums fine nodes first[N] + s by p[N, s]."""
-    mz1, my1, mx1 = len(first_z), len(first_y), len(first_x)
+    rows = len(first_z) * len(first_y)
+    in_parallel(_restrict_rows, rows, (fine, coarse, first_z, p_z, first_y, p_y, first_x, p_x))
+
+
+@nb.njit
+def _restrict_rows(fine, coarse, first_z, p_z, first_y, p_y, first_x, p_x, begin, end):
+    my1, mx1 = len(first_y), len(first_x)
     width = fine.shape[3]
-    for row in nb.prange(mz1 * my1):
+    line = np.empty(width, fine.dtype)
+    for row in range(begin, end):
         kc, jc = row // my1, row % my1
-        line = np.empty(width, fine.dtype)
         for c in range(3):
             line[:] = 0
             for a in range(p_z.shape[1]):
@@ -375,7 +416,7 @@ def galerkin(
         yield plane
 
 
-@nb.njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
+@nb.njit(cache=True)
 def _galerkin_plane(
     fine, kc, plane, index_z, first_z, p_z, index_y, first_y, p_y, index_x, first_x, p_x
 ):
@@ -383,12 +424,26 @@ def _galerkin_plane(
 
     Weights come from the dense tables p[N, n - first[N]].
     """
+    in_parallel(
+        _galerkin_rows,
+        len(first_y),
+        (fine, kc, plane, index_z, first_z, p_z, index_y, first_y, p_y, index_x, first_x, p_x),
+    )
+
+
+@nb.njit(error_model="numpy", fastmath=FAST)
+def _galerkin_rows(
+    fine, kc, plane, index_z, first_z, p_z, index_y, first_y, p_y, index_x, first_x, p_x, begin, end
+):
     mz1, my1, mx1 = len(first_z), len(first_y), len(first_x)
     nz1, ny1, lanes, _ = fine.entries.shape
     nx1 = len(index_x)
-    for jc in nb.prange(my1):
-        part = np.zeros((9, lanes * 3 * _BLOCK), np.float32)
-        values, factor = np.empty_like(part), np.empty(3 * _BLOCK, np.float32)
+    part = np.empty((9, lanes * 3 * _BLOCK), np.float32)
+    values, factor = np.empty_like(part), np.empty(3 * _BLOCK, np.float32)
+    sums = np.empty((mx1, 3, 9, 9), np.float32)
+    for jc in range(begin, end):
+        part[:] = 0
+        sums[:] = 0
         for a in range(p_z.shape[1]):
             k = first_z[kc] + a
             wk = p_z[kc, a]
@@ -423,7 +478,6 @@ def _galerkin_plane(
                                     out = part[3 * (kc2 - kc + 1) + jc2 - jc + 1]
                                     for i in range(len(out)):
                                         out[i] += w * source[i]
-        sums = np.zeros((mx1, 3, 9, 9), np.float32)
         for ic in range(mx1):
             for s in range(p_x.shape[1]):
                 wi = p_x[ic, s]

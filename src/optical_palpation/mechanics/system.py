@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .contact import ContactLinearisation
 from .elements import tangent_planes
+from .parallel import in_parallel
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .stencil import constrain
 
@@ -223,11 +224,17 @@ def _to_contact_frame(
                 block[:, 3 * c + 1] += block[:, 3 * c + 2] * h[1]
 
 
-@nb.njit(parallel=True, cache=True)
+@nb.njit(cache=True)
 def gather_divergence(divergence, u, out):
     """Volume change of each element from nodal displacement (Cartesian)."""
-    nz, ny, _, nx = divergence.shape
-    for row in nb.prange(nz * ny):
+    nz, ny = out.shape[:2]
+    in_parallel(_gather_rows, nz * ny, (divergence, u, out))
+
+
+@nb.njit
+def _gather_rows(divergence, u, out, begin, end):
+    _, ny, _, nx = divergence.shape
+    for row in range(begin, end):
         k, j = row // ny, row % ny
         line = out[k, j]
         line[:] = 0
@@ -238,11 +245,17 @@ def gather_divergence(divergence, u, out):
                     line[i] += divergence[k, j, 3 * a + c, i] * u[c, kk, jj, i + di]
 
 
-@nb.njit(parallel=True, cache=True)
+@nb.njit(cache=True)
 def scatter_divergence(divergence, p, out):
     """Nodal forces (Cartesian) of element pressures."""
+    nz1, ny1 = out.shape[1:3]
+    in_parallel(_scatter_rows, nz1 * ny1, (divergence, p, out))
+
+
+@nb.njit
+def _scatter_rows(divergence, p, out, begin, end):
     nz, ny, _, nx = divergence.shape
-    for row in nb.prange((nz + 1) * (ny + 1)):
+    for row in range(begin, end):
         kk, jj = row // (ny + 1), row % (ny + 1)
         for c in range(3):
             out[c, kk, jj] = 0
