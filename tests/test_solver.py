@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from optical_palpation.mechanics.direct import DirectSolver
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
-from optical_palpation.mechanics.krylov import MultigridSolver
+from optical_palpation.mechanics.krylov import MultigridSolver, gmres
 from optical_palpation.mechanics.newton import balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.system import assemble
@@ -57,3 +57,18 @@ def test_newton_step_equals_the_direct_one():
         steps.append(solver.solve(newton_system(problem, state, solver), 1e-6)[:2])
     for fast, exact in zip(*steps, strict=True):
         assert_allclose(fast, exact, atol=2e-3 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("blown_up", [0.0, 1e4, 1e5])
+def test_a_mode_blown_up_does_not_hinder_the_others(blown_up):
+    rng = np.random.default_rng(0)
+    eigenvalues = np.linspace(1, 2, 2000, dtype=np.float32)
+    into, out_of = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 2000), np.float32))
+    rhs = rng.standard_normal(2000, np.float32)
+
+    def operator(v):
+        return eigenvalues * v + np.float32(blown_up) * np.dot(out_of, v) * into
+
+    solution, iterations = gmres(operator, lambda v: v, rhs, 1e-3, 10)
+    assert iterations <= 7
+    assert np.linalg.norm(operator(solution) - rhs) < 1.5e-3 * np.linalg.norm(rhs)

@@ -26,6 +26,10 @@ _GAMMA = 3.0
 #: wants more, its tangent being indefinite: a better solution of that brings Newton's method no
 #: nearer.
 LONGEST = 10
+#: What a vector keeps when the directions found before are taken out of it, below which rounding
+#: is too much of that and they are taken out again. A layer that snaps has a mode that the
+#: preconditioner blows up by thousands: every iteration would find it anew.
+_CANCELLED = 0.1
 
 
 class MultigridSolver:
@@ -126,8 +130,14 @@ def gmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
         w = operator(precondition(basis[n - 1]))
         along = basis[:n] @ w
         w -= along @ basis[:n]
+        left = float(np.linalg.norm(w))
+        if left < _CANCELLED * float(np.linalg.norm(along)):
+            again = basis[:n] @ w
+            w -= again @ basis[:n]
+            along += again
+            left = float(np.linalg.norm(w))
         h[:n, n - 1] = along
-        h[n, n - 1] = float(np.linalg.norm(w))
+        h[n, n - 1] = left
         np.divide(w, rhs.dtype.type(max(h[n, n - 1], 1e-30)), out=basis[n])
         for i, (c, s) in enumerate(rotations):
             h[i, n - 1], h[i + 1, n - 1] = (
