@@ -23,7 +23,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from optical_palpation.mechanics.contact import _turning_stiffness, area_vectors
+from optical_palpation.mechanics.contact import area_vectors, turning_stiffness
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -121,7 +121,7 @@ class Interface:
         surface = np.moveaxis(position[self.slaves], -1, 0)
         area = area_vectors(surface)
         turning = np.zeros((*self.slaves.shape, 9, 2, 3))
-        _turning_stiffness(surface, self.side / area[2], -area[:2] / area[2], turning)
+        turning_stiffness(surface, self.side / area[2], -area[:2] / area[2], turning)
         around = np.pad(self.slaves, 1, mode="edge")
         ny, nx = self.slaves.shape
         neighbours = [around[j : j + ny, i : i + nx].ravel() for j in range(3) for i in range(3)]

@@ -204,7 +204,7 @@ def linearise(
         [stiff * (1 - s[:, 0] * d[:, 0]), stiff * mixed, stiff * (1 - s[:, 1] * d[:, 1])], axis=1
     )
     turning = np.zeros((*h.shape, 9, 2, 3))
-    _turning_stiffness(top, np.maximum(normal[SAMPLE], 0.0) / area[2], face_slope, turning)
+    turning_stiffness(top, np.maximum(normal[SAMPLE], 0.0) / area[2], face_slope, turning)
     return ContactLinearisation(
         penetration,
         violation,
@@ -296,35 +296,38 @@ def area_vectors(surface: Array) -> Array:
 
 
 @nb.njit(cache=True)
-def _turning_stiffness(surface, pressure, slope, out):
+def turning_stiffness(surface, pressure, slope, out):
     """Lateral stiffness p (dA_x + a_x dA_z), p (dA_y + a_y dA_z) of each node."""
     _, ny1, nx1 = surface.shape
+    t, s = np.empty((4, 3)), np.empty((4, 3))
     for j in range(ny1 - 1):
         for i in range(nx1 - 1):
-            for q in range(4):
-                t, s = np.zeros(3), np.zeros(3)
-                for b in range(4):
-                    for c in range(3):
-                        x = surface[c, j + (b >> 1), i + (b & 1)]
-                        t[c] += _SLOPE[q, b, 0] * x
-                        s[c] += _SLOPE[q, b, 1] * x
+            for c in range(3):
+                x0, x1 = surface[c, j, i], surface[c, j, i + 1]
+                x2, x3 = surface[c, j + 1, i], surface[c, j + 1, i + 1]
+                for q in range(4):
+                    d = _SLOPE[q]
+                    t[q, c] = 0.25 * (d[0, 0] * x0 + d[1, 0] * x1 + d[2, 0] * x2 + d[3, 0] * x3)
+                    s[q, c] = 0.25 * (d[0, 1] * x0 + d[1, 1] * x1 + d[2, 1] * x2 + d[3, 1] * x3)
+            for a in range(4):
+                jj, ii = j + (a >> 1), i + (a & 1)
+                p, ax, ay = pressure[jj, ii], slope[0, jj, ii], slope[1, jj, ii]
                 for b in range(4):
                     # derivative of t x s with respect to node b: the cross product with v
-                    v0 = 0.25 * (_SLOPE[q, b, 1] * t[0] - _SLOPE[q, b, 0] * s[0])
-                    v1 = 0.25 * (_SLOPE[q, b, 1] * t[1] - _SLOPE[q, b, 0] * s[1])
-                    v2 = 0.25 * (_SLOPE[q, b, 1] * t[2] - _SLOPE[q, b, 0] * s[2])
-                    for a in range(4):
-                        jj, ii = j + (a >> 1), i + (a & 1)
-                        m = 3 * ((b >> 1) - (a >> 1) + 1) + (b & 1) - (a & 1) + 1
-                        p = pressure[jj, ii] * _SHAPE[q, a]
-                        ax, ay = slope[0, jj, ii], slope[1, jj, ii]
-                        k = out[jj, ii, m]
-                        k[0, 0] += p * (-ax * v1)
-                        k[0, 1] += p * (-v2 + ax * v0)
-                        k[0, 2] += p * v1
-                        k[1, 0] += p * (v2 - ay * v1)
-                        k[1, 1] += p * (ay * v0)
-                        k[1, 2] += p * -v0
+                    v0 = v1 = v2 = 0.0
+                    for q in range(4):
+                        weight = p * _SHAPE[q, a]
+                        along_x, along_y = weight * _SLOPE[q, b, 0], weight * _SLOPE[q, b, 1]
+                        v0 += along_y * t[q, 0] - along_x * s[q, 0]
+                        v1 += along_y * t[q, 1] - along_x * s[q, 1]
+                        v2 += along_y * t[q, 2] - along_x * s[q, 2]
+                    k = out[jj, ii, 3 * ((b >> 1) - (a >> 1) + 1) + (b & 1) - (a & 1) + 1]
+                    k[0, 0] -= ax * v1
+                    k[0, 1] += ax * v0 - v2
+                    k[0, 2] += v1
+                    k[1, 0] += v2 - ay * v1
+                    k[1, 1] += ay * v0
+                    k[1, 2] -= v0
 
 
 def remember_slip(problem: LayerProblem, state: LayerState) -> None:

@@ -464,21 +464,28 @@ def _surface_axial_stress(stress: Array, normal: Array, pressure: Array) -> Arra
     return zz - along - pressure
 
 
-def _interpolated(grid: LayerGrid, field: Array, points: Array) -> Array:
-    """Interpolate a nodal field of the surface at reference ``points`` (..., 2), y before x.
+def _interpolator(grid: LayerGrid, field: Array) -> Callable[[Array], Array]:
+    """Interpolation of a nodal field of the surface at reference points (..., 2), y before x.
 
     Cubic where the nodes are evenly spaced, since linear interpolation flattens relief of a few
     elements by several per cent; linear in the graded rows along the edges, where the pressure
     rises too steeply for a cubic.
     """
-    out = RegularGridInterpolator((grid.y, grid.x), field)(points)
+    linear = RegularGridInterpolator((grid.y, grid.x), field)
     even = [_evenly_spaced(nodes) for nodes in (grid.y, grid.x)]
-    if min(part.stop - part.start for part in even) >= 4:
-        y, x = grid.y[even[0]], grid.x[even[1]]
+    if min(part.stop - part.start for part in even) < 4:
+        return linear
+    y, x = grid.y[even[0]], grid.x[even[1]]
+    cubic = RectBivariateSpline(y, x, field[even[0], even[1]])
+
+    def interpolated(points: Array) -> Array:
         inside = ((points >= (y[0], x[0])) & (points <= (y[-1], x[-1]))).all(-1)
-        spline = RectBivariateSpline(y, x, field[even[0], even[1]])
-        out[inside] = spline.ev(*points[inside].T)
-    return out
+        out = np.empty(points.shape[:-1])
+        out[inside] = cubic.ev(*points[inside].T)
+        out[~inside] = linear(points[~inside])
+        return out
+
+    return interpolated
 
 
 def _evenly_spaced(nodes: Array) -> slice:
@@ -500,14 +507,15 @@ def _maps(
     x0, x1, y0, y1 = layer_extent_of(loaded)
     x, y = node_positions(x1 - x0, sizes[0], x0), node_positions(y1 - y0, sizes[1], y0)
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
-    moved = surface["y"] - grid.y[:, None], surface["x"] - grid.x
+    moved = [
+        _interpolator(grid, shift)
+        for shift in (surface["y"] - grid.y[:, None], surface["x"] - grid.x)
+    ]
     lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
     reference = target
     for _ in range(40):  # the material point that sits at each laboratory point
         before = reference
-        reference = target - np.stack(
-            [_interpolated(grid, shift, np.clip(before, lower, upper)) for shift in moved], -1
-        )
+        reference = target - np.stack([by(np.clip(before, lower, upper)) for by in moved], -1)
         if (np.abs(reference - before) < 1e-8 * (upper - lower)).all():
             break
     tolerance = 1e-6 * (upper - lower)
@@ -528,7 +536,7 @@ def _maps(
         }
     )
     for name, text in units.items():
-        values = np.where(outside, np.nan, _interpolated(grid, surface[name], reference))
+        values = np.where(outside, np.nan, _interpolator(grid, surface[name])(reference))
         if name == "contact_pressure":
             values = np.maximum(values, 0.0)  # a cubic may overshoot where contact ends
         maps[name] = (("y", "x"), values, {"units": "kPa", "long_name": text})
