@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .contact import ContactLinearisation
 from .elements import tangent_planes
+from .lanes import FAST
 from .parallel import in_parallel
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .stencil import constrain
@@ -198,30 +199,48 @@ def constraints(
     return free, contact.step
 
 
-def _to_contact_frame(
-    plane: Vector, k: int, nz1: int, row: Array, column: Array, turning: Array
-) -> None:
+@nb.njit(cache=True)
+def _to_contact_frame(plane, k, nz1, row, column, turning):
     """Transform rows and columns of a plane at the faces, add the turning stiffness (in place)."""
+    if k == 0 or k >= nz1 - 2:
+        in_parallel(_frame_rows, len(plane), (plane, k, nz1, row, column, turning))
+
+
+@nb.njit(fastmath=FAST)
+def _frame_rows(plane, k, nz1, row, column, turning, begin, end):
+    _, _, ny1, nx1 = row.shape
     top = nz1 - 1
-    nx1 = row.shape[-1]
-    for face, there in ((WINDOW, 0), (SAMPLE, top)):
-        if k == there:
-            for c in range(2):
-                factor = row[face, c].astype(plane.dtype)[:, None, None]
-                plane[:, :, 3 * c : 3 * c + 3, :nx1] += factor * plane[:, :, 6:, :nx1]
-    if k == top:
-        for c in range(2):
-            add = np.moveaxis(turning[:, :, :, c], 1, -1)
-            plane[:, 9:18, 3 * c : 3 * c + 3, :nx1] += add
-    dz = top - k + 1
-    if dz <= 2:
-        ahead = np.pad(column[SAMPLE].astype(plane.dtype), ((0, 0), (1, 1), (1, 1)))
-        for m in range(9):
-            h = ahead[:, m // 3 : m // 3 + len(plane), m % 3 : m % 3 + nx1]
-            block = plane[:, 9 * dz + m, :, :nx1]
-            for c in range(3):
-                block[:, 3 * c] += block[:, 3 * c + 2] * h[0]
-                block[:, 3 * c + 1] += block[:, 3 * c + 2] * h[1]
+    real = plane.dtype.type
+    for j in range(begin, end):
+        for face, there in ((WINDOW, 0), (SAMPLE, top)):
+            if k == there:
+                for m in range(27):
+                    for c in range(2):
+                        factor = row[face, c, j]
+                        for d in range(3):
+                            target, source = plane[j, m, 3 * c + d], plane[j, m, 6 + d]
+                            for i in range(nx1):
+                                target[i] += real(factor[i]) * source[i]
+        if k == top:
+            for m in range(9):
+                for c in range(2):
+                    for d in range(3):
+                        target = plane[j, 9 + m, 3 * c + d]
+                        for i in range(nx1):
+                            target[i] += turning[j, i, m, c, d]
+        dz = top - k + 1
+        if dz <= 2:
+            for m in range(9):
+                jj, di = j + m // 3 - 1, m % 3 - 1
+                if jj < 0 or jj >= ny1:
+                    continue
+                for c in range(2):
+                    factor = column[SAMPLE, c, jj]
+                    for d in range(3):
+                        line = plane[j, 9 * dz + m]
+                        target, source = line[3 * d + c], line[3 * d + 2]
+                        for i in range(max(0, -di), min(nx1, nx1 - di)):
+                            target[i] += real(factor[i + di]) * source[i]
 
 
 @nb.njit(cache=True)
