@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import Akima1DInterpolator
 from scipy.ndimage import map_coordinates
 
 Array = NDArray[np.float64]
@@ -116,6 +115,8 @@ class LayerGrid:
         ``field`` has trailing axes ``(y, x)`` or ``(z, y, x)`` of ``other``; leading axes are kept.
         The kinks of a linear interpolation are strains that neither grid has.
         """
+        from scipy.interpolate import Akima1DInterpolator  # slow to load, not needed to begin with
+
         pairs = list(zip((other.depth, other.y, other.x), self.node_axes, strict=True))
         if field.shape[-3:] != other.node_shape:
             pairs = pairs[1:]

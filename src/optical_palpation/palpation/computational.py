@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline, RegularGridInterpolator
 
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import MooneyRivlin
@@ -471,6 +470,8 @@ def _interpolator(grid: LayerGrid, field: Array) -> Callable[[Array], Array]:
     elements by several per cent; linear in the graded rows along the edges, where the pressure
     rises too steeply for a cubic.
     """
+    from scipy.interpolate import RectBivariateSpline, RegularGridInterpolator  # slow to load
+
     linear = RegularGridInterpolator((grid.y, grid.x), field)
     even = [_evenly_spaced(nodes) for nodes in (grid.y, grid.x)]
     if min(part.stop - part.start for part in even) < 4:
@@ -540,6 +541,8 @@ def _maps(
         if name == "contact_pressure":
             values = np.maximum(values, 0.0)  # a cubic may overshoot where contact ends
         maps[name] = (("y", "x"), values, {"units": "kPa", "long_name": text})
+    from scipy.interpolate import RegularGridInterpolator  # slow to load
+
     for name in ("contact_state", "window_contact_state"):
         nearest = RegularGridInterpolator((grid.y, grid.x), surface[name], method="nearest")
         values = np.where(outside, ContactState.OPEN, nearest(reference)).astype(np.int8)

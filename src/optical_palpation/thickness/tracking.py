@@ -13,7 +13,6 @@ from typing import Literal
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from .intensity import Read
@@ -265,6 +264,8 @@ def _to_full(coarse: NDArray[np.float64], reduced: Reduced) -> NDArray[np.float6
         if len(centres) == 1:
             coarse = np.repeat(coarse, n, axis=axis)
         else:
+            from scipy.interpolate import make_interp_spline  # slow to load
+
             line = make_interp_spline(centres, coarse, k=1, axis=axis)
             coarse = line(np.arange(n))
     return coarse
