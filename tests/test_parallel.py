@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optical_palpation.mechanics.parallel import in_parallel
+from optical_palpation.parallel import in_parallel
 
 
 class Pair(NamedTuple):

@@ -34,6 +34,7 @@ from optical_palpation.mechanics.lanes import (
     kinematics,
 )
 from optical_palpation.mechanics.lanes import L as LANES
+from optical_palpation.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
@@ -166,122 +167,142 @@ def _views(w):
     )
 
 
-@nb.njit(parallel=True, cache=True)
+@nb.njit(cache=True)
 def _forces(nodes, u, p, stiffness, c10, c01, dn, force, volume, reference, jacobian):
-    nz, ny, nx = p.shape
+    nz, ny, _ = p.shape
     force[:] = 0
     for colour in range(4):
         k0, j0 = colour >> 1, colour & 1
-        nk, nj = (nz - k0 + 1) // 2, (ny - j0 + 1) // 2
-        for row in nb.prange(nk * nj):
-            k, j = k0 + 2 * (row // nj), j0 + 2 * (row % nj)
-            w = np.empty(ROWS * LANES)
-            grad, tau, det, jac = _views(w)
-            smallest = 1e30
-            for i0 in range(0, nx, LANES):
-                n = min(LANES, nx - i0)
-                gather(nodes, u, k, j, i0, nx, w)
-                volume[k, j, i0 : i0 + n] = 0
-                reference[k, j, i0 : i0 + n] = 0
-                for g in range(8):
-                    kinematics(dn[g], w)
-                    isochoric_stress(c10, c01, w)
-                    for i in range(n):
-                        e = i0 + i
-                        smallest = min(smallest, jac[i])
-                        reference[k, j, e] += det[i]
-                        volume[k, j, e] += det[i] * jac[i]
-                        shear = det[i] * stiffness[k, j, e]
-                        hydrostatic = det[i] * jac[i] * p[k, j, e]
-                        for c in range(6):
-                            tau[c, i] *= shear
-                        for c in range(3):
-                            tau[c, i] += hydrostatic
-                    for a in range(8):
-                        kk, jj, di = k + (a >> 2), j + ((a >> 1) & 1), i0 + (a & 1)
-                        for i in range(n):
-                            g0, g1, g2 = grad[a, 0, i], grad[a, 1, i], grad[a, 2, i]
-                            force[0, kk, jj, di + i] += (
-                                tau[0, i] * g0 + tau[5, i] * g1 + tau[4, i] * g2
-                            )
-                            force[1, kk, jj, di + i] += (
-                                tau[5, i] * g0 + tau[1, i] * g1 + tau[3, i] * g2
-                            )
-                            force[2, kk, jj, di + i] += (
-                                tau[4, i] * g0 + tau[3, i] * g1 + tau[2, i] * g2
-                            )
-            jacobian[k, j] = smallest
+        rows = ((nz - k0 + 1) // 2) * ((ny - j0 + 1) // 2)
+        given = nodes, u, p, stiffness, c10, c01, dn, force, volume, reference, jacobian, k0, j0
+        in_parallel(_force_rows, rows, given)
 
 
-@nb.njit(parallel=True, cache=True)
-def _tangent(nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence):
-    nz, ny, nx = p.shape
-    for k in nb.prange(nz + 1):
-        stencil[k] = 0
-    for colour in range(4):
-        k0, j0 = colour >> 1, colour & 1
-        nk, nj = (nz - k0 + 1) // 2, (ny - j0 + 1) // 2
-        for row in nb.prange(nk * nj):
-            k, j = k0 + 2 * (row // nj), j0 + 2 * (row % nj)
-            w = np.empty(ROWS * LANES)
-            grad, tau, det, jac = _views(w)
-            pe, ke = w[PRESSURE : PRESSURE + LANES], w[KE:].reshape(64, 9, LANES)
-            factor, v0 = np.empty(LANES), np.empty(LANES)
-            be = np.empty((24, LANES))
-            for i0 in range(0, nx, LANES):
-                n = min(LANES, nx - i0)
-                gather(nodes, u, k, j, i0, nx, w)
-                for i in range(LANES):
-                    e = min(i0 + i, nx - 1)
-                    factor[i] = stiffness[k, j, e]
-                    pe[i] = p[k, j, e] / factor[i]
-                v0[:] = 0
-                ke[:] = 0
-                be[:] = 0
-                for g in range(8):
-                    kinematics(dn[g], w)
-                    isochoric_stress(c10, c01, w)
-                    for a in range(8):
-                        for c in range(3):
-                            for i in range(LANES):
-                                be[3 * a + c, i] += grad[a, c, i] * jac[i] * det[i]
-                    for i in range(LANES):
-                        v0[i] += det[i]
-                        det[i] *= factor[i]
-                    elasticity(c01, w)
-                    for i in range(LANES):
-                        for c in range(3):
-                            tau[c, i] += pe[i] * jac[i]
-                        for c in range(6):
-                            tau[c, i] *= det[i]
-                    add_stiffness(w)
-                for i in range(LANES):
-                    v0[i] = bulk * factor[i] / v0[i]
-                for q in range(24):
-                    for i in range(n):
-                        divergence[k, j, q, i0 + i] = be[q, i]
+@nb.njit
+def _force_rows(
+    nodes, u, p, stiffness, c10, c01, dn, force, volume, reference, jacobian, k0, j0, begin, end
+):
+    """Every second row of elements of every second layer, from (k0, j0): they share no nodes."""
+    _, ny, nx = p.shape
+    nj = (ny - j0 + 1) // 2
+    for row in range(begin, end):
+        k, j = k0 + 2 * (row // nj), j0 + 2 * (row % nj)
+        w = np.empty(ROWS * LANES)
+        grad, tau, det, jac = _views(w)
+        smallest = 1e30
+        for i0 in range(0, nx, LANES):
+            n = min(LANES, nx - i0)
+            gather(nodes, u, k, j, i0, nx, w)
+            volume[k, j, i0 : i0 + n] = 0
+            reference[k, j, i0 : i0 + n] = 0
+            for g in range(8):
+                kinematics(dn[g], w)
+                isochoric_stress(c10, c01, w)
+                for i in range(n):
+                    e = i0 + i
+                    smallest = min(smallest, jac[i])
+                    reference[k, j, e] += det[i]
+                    volume[k, j, e] += det[i] * jac[i]
+                    shear = det[i] * stiffness[k, j, e]
+                    hydrostatic = det[i] * jac[i] * p[k, j, e]
+                    for c in range(6):
+                        tau[c, i] *= shear
+                    for c in range(3):
+                        tau[c, i] += hydrostatic
                 for a in range(8):
                     kk, jj, di = k + (a >> 2), j + ((a >> 1) & 1), i0 + (a & 1)
-                    for bb in range(8):
-                        m = 9 * ((bb >> 2) - (a >> 2) + 1)
-                        m += 3 * (((bb >> 1) & 1) - ((a >> 1) & 1) + 1) + (bb & 1) - (a & 1) + 1
-                        for c in range(3):
-                            for d in range(3):
-                                if bb <= a:
-                                    block, cd = 8 * a + bb, 3 * c + d
-                                else:
-                                    block, cd = 8 * bb + a, 3 * d + c
-                                for i in range(n):
-                                    stencil[kk, jj, di + i, m, c, d] += (
-                                        ke[block, cd, i]
-                                        + v0[i] * be[3 * a + c, i] * be[3 * bb + d, i]
-                                    )
+                    for i in range(n):
+                        g0, g1, g2 = grad[a, 0, i], grad[a, 1, i], grad[a, 2, i]
+                        force[0, kk, jj, di + i] += tau[0, i] * g0 + tau[5, i] * g1 + tau[4, i] * g2
+                        force[1, kk, jj, di + i] += tau[5, i] * g0 + tau[1, i] * g1 + tau[3, i] * g2
+                        force[2, kk, jj, di + i] += tau[4, i] * g0 + tau[3, i] * g1 + tau[2, i] * g2
+        jacobian[k, j] = smallest
 
 
-@nb.njit(parallel=True, cache=True)
+@nb.njit(cache=True)
+def _tangent(nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence):
+    nz, ny, _ = p.shape
+    stencil[:] = 0
+    for colour in range(4):
+        k0, j0 = colour >> 1, colour & 1
+        rows = ((nz - k0 + 1) // 2) * ((ny - j0 + 1) // 2)
+        given = nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence, k0, j0
+        in_parallel(_tangent_rows, rows, given)
+
+
+@nb.njit
+def _tangent_rows(
+    nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence, k0, j0, begin, end
+):
+    """Every second row of elements of every second layer, from (k0, j0): they share no nodes."""
+    _, ny, nx = p.shape
+    nj = (ny - j0 + 1) // 2
+    for row in range(begin, end):
+        k, j = k0 + 2 * (row // nj), j0 + 2 * (row % nj)
+        w = np.empty(ROWS * LANES)
+        grad, tau, det, jac = _views(w)
+        pe, ke = w[PRESSURE : PRESSURE + LANES], w[KE:].reshape(64, 9, LANES)
+        factor, v0 = np.empty(LANES), np.empty(LANES)
+        be = np.empty((24, LANES))
+        for i0 in range(0, nx, LANES):
+            n = min(LANES, nx - i0)
+            gather(nodes, u, k, j, i0, nx, w)
+            for i in range(LANES):
+                e = min(i0 + i, nx - 1)
+                factor[i] = stiffness[k, j, e]
+                pe[i] = p[k, j, e] / factor[i]
+            v0[:] = 0
+            ke[:] = 0
+            be[:] = 0
+            for g in range(8):
+                kinematics(dn[g], w)
+                isochoric_stress(c10, c01, w)
+                for a in range(8):
+                    for c in range(3):
+                        for i in range(LANES):
+                            be[3 * a + c, i] += grad[a, c, i] * jac[i] * det[i]
+                for i in range(LANES):
+                    v0[i] += det[i]
+                    det[i] *= factor[i]
+                elasticity(c01, w)
+                for i in range(LANES):
+                    for c in range(3):
+                        tau[c, i] += pe[i] * jac[i]
+                    for c in range(6):
+                        tau[c, i] *= det[i]
+                add_stiffness(w)
+            for i in range(LANES):
+                v0[i] = bulk * factor[i] / v0[i]
+            for q in range(24):
+                for i in range(n):
+                    divergence[k, j, q, i0 + i] = be[q, i]
+            for a in range(8):
+                kk, jj, di = k + (a >> 2), j + ((a >> 1) & 1), i0 + (a & 1)
+                for bb in range(8):
+                    m = 9 * ((bb >> 2) - (a >> 2) + 1)
+                    m += 3 * (((bb >> 1) & 1) - ((a >> 1) & 1) + 1) + (bb & 1) - (a & 1) + 1
+                    for c in range(3):
+                        for d in range(3):
+                            if bb <= a:
+                                block, cd = 8 * a + bb, 3 * c + d
+                            else:
+                                block, cd = 8 * bb + a, 3 * d + c
+                            for i in range(n):
+                                stencil[kk, jj, di + i, m, c, d] += (
+                                    ke[block, cd, i] + v0[i] * be[3 * a + c, i] * be[3 * bb + d, i]
+                                )
+
+
+@nb.njit(cache=True)
 def _stress(nodes, u, p, stiffness, c10, c01, dn, stress):
-    nz, ny, nx = p.shape
-    for row in nb.prange(nz * ny):
+    nz, ny, _ = p.shape
+    in_parallel(_stress_rows, nz * ny, (nodes, u, p, stiffness, c10, c01, dn, stress))
+
+
+@nb.njit
+def _stress_rows(nodes, u, p, stiffness, c10, c01, dn, stress, begin, end):
+    _, ny, nx = p.shape
+    for row in range(begin, end):
         k, j = row // ny, row % ny
         w = np.empty(ROWS * LANES)
         _, tau, det, jac = _views(w)

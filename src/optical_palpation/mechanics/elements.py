@@ -20,6 +20,8 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from optical_palpation.parallel import in_parallel
+
 from .intrinsics import add_lanes
 from .lanes import (
     DET,
@@ -43,7 +45,6 @@ from .lanes import (
     isochoric_stress,
     kinematics,
 )
-from .parallel import in_parallel
 from .stencil import padded
 
 _G = 0.5 / np.sqrt(3.0)

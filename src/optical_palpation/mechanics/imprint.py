@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
-from .parallel import in_parallel
+from optical_palpation.parallel import in_parallel
 
 Array = NDArray[np.float64]
 

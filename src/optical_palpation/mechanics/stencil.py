@@ -20,9 +20,10 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from optical_palpation.parallel import in_parallel
+
 from .intrinsics import prefetch
 from .lanes import FAST, LARGEST, L
-from .parallel import in_parallel
 
 #: Nodes below which a grid is left to one thread: to wake others takes longer than they save.
 _NODES_OF_ONE_THREAD = 20000

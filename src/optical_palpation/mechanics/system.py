@@ -9,10 +9,11 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from optical_palpation.parallel import in_parallel
+
 from .contact import ContactLinearisation
 from .elements import tangent_planes
 from .lanes import FAST
-from .parallel import in_parallel
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .stencil import constrain
 

@@ -10,10 +10,12 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from scipy.special import ndtr
+
+from optical_palpation.parallel import in_parallel
 
 from .tracking import Edge, column_weights
 
@@ -40,12 +42,17 @@ def take_band(intensity, first, out):
                 out[x, k] = -1.0
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _flatten(band, centre, weight, profile, share):
     """Weighted profiles around `centre[y, x]` (pixels of the band), and their weights."""
-    ny, nx, nk = profile.shape
+    in_parallel(_flatten_rows, len(profile), (band, centre, weight, profile, share))
+
+
+@njit
+def _flatten_rows(band, centre, weight, profile, share, begin, end):
+    _, nx, nk = profile.shape
     half = nk // 2
-    for y in prange(ny):
+    for y in range(begin, end):
         for x in range(nx):
             for k in range(nk):
                 at = centre[y, x] + k - half
@@ -62,7 +69,7 @@ def _flatten(band, centre, weight, profile, share):
                 share[y, x, k] = count
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _fit_step(profile, level, rises, dark_ends, bright_starts, bright_ends, step, shift, contrast):
     """Most likely position of a blurred step in each profile, and the contrast of its sides.
 
@@ -72,12 +79,23 @@ def _fit_step(profile, level, rises, dark_ends, bright_starts, bright_ends, step
     A parabola through the best three trials gives the fraction. The contrast is that of Michelson,
     (bright - dark) / (bright + dark).
     """
-    ny, nx, nk = profile.shape
+    in_parallel(
+        _fit_step_rows,
+        len(profile),
+        (profile, level, rises, dark_ends, bright_starts, bright_ends, step, shift, contrast),
+    )
+
+
+@njit
+def _fit_step_rows(
+    profile, level, rises, dark_ends, bright_starts, bright_ends, step, shift, contrast, begin, end
+):
+    _, nx, nk = profile.shape
     tries = rises.shape[1]
-    for y in prange(ny):
-        score = np.empty(tries)
-        contrasts = np.empty(tries)
-        total = np.empty(nk + 1)
+    score = np.empty(tries)
+    contrasts = np.empty(tries)
+    total = np.empty(nk + 1)
+    for y in range(begin, end):
         for x in range(nx):
             p = profile[y, x]
             total[0] = 0.0
@@ -110,18 +128,23 @@ def _fit_step(profile, level, rises, dark_ends, bright_starts, bright_ends, step
                     shift[y, x] += 0.5 * step * (a - b) / (a + b)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _fit_line(profile, kernel, reach, shift, quality):
     """Centre of the line in each profile, by correlation of its logarithm with `kernel`.
 
     The logarithm makes a saturated line and its side lobes as symmetric as they are, and no
     brighter than they need be.
     """
-    ny, nx, nk = profile.shape
+    in_parallel(_fit_line_rows, len(profile), (profile, kernel, reach, shift, quality))
+
+
+@njit
+def _fit_line_rows(profile, kernel, reach, shift, quality, begin, end):
+    _, nx, nk = profile.shape
     half, wide = nk // 2, len(kernel) // 2
-    for y in prange(ny):
-        log = np.empty(nk)
-        score = np.empty(2 * reach + 1)
+    log = np.empty(nk)
+    score = np.empty(2 * reach + 1)
+    for y in range(begin, end):
         for x in range(nx):
             brightest = max(profile[y, x].max(), 1e-30)
             for k in range(nk):

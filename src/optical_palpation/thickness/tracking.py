@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+
+from optical_palpation.parallel import in_parallel
 
 from .intensity import Read
 
@@ -167,19 +169,27 @@ def _pass_along(cost, previous, slope, jump):
         previous[z] = cost[z] + min(previous[z], best + jump) - best
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _aggregate(cost, total, slope, jump):
     """Add the path costs along the rows of `cost[row, node, z]`, in both senses, to `total`."""
-    rows, nodes, nz = cost.shape
-    for row in prange(rows):
-        path = np.zeros(nz, np.float32)
+    in_parallel(_aggregate_rows, len(cost), (cost, total, slope, jump))
+
+
+@njit
+def _aggregate_rows(cost, total, slope, jump, begin, end):
+    _, nodes, nz = cost.shape
+    path = np.empty(nz, np.float32)
+    for row in range(begin, end):
+        path[:] = 0
         for node in range(nodes):
             _pass_along(cost[row, node], path, slope, jump)
-            total[row, node] += path
-        path = np.zeros(nz, np.float32)
+            for z in range(nz):
+                total[row, node, z] += path[z]
+        path[:] = 0
         for node in range(nodes - 1, -1, -1):
             _pass_along(cost[row, node], path, slope, jump)
-            total[row, node] += path
+            for z in range(nz):
+                total[row, node, z] += path[z]
 
 
 def track(
