@@ -32,7 +32,7 @@ cascade, and on the finest. Krylov iterations: in all linear solves together, ea
 residual of 1e-2, in the longest, and the number of those that took ten, where they end, as where
 a layer snaps. Peak memory: of the whole process (resident set);
 predicted is what the check before a run says, and what the process held before. The floor is the
-time in which the machine's memory could pass every array that a parallel kernel reads or
+time in which the machine's memory could pass every array that a kernel reads or
 writes just once per call, {bandwidth} GB/s at the best of five triads; small grids live in the
 caches and may be faster.
 """

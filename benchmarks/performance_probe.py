@@ -33,8 +33,8 @@ PHASES = {
     "direct": [("direct", "DirectSolver.solve")],
 }
 
-#: Kernels that touch a part only of the arrays they are given.
-PARTIAL = {"constrain", "store", "_tangent_layer"}
+#: Kernels that touch a part only of the arrays they are given: left out of the bytes.
+PARTIAL = {"_constrain", "_galerkin_plane", "_tangent_layer"}
 
 
 class Probe:
@@ -121,8 +121,8 @@ def _modules() -> list:
 
 
 def _entry(kernel) -> bool:
-    """Whether a kernel is called from Python: only those run in parallel."""
-    return bool(kernel.targetoptions.get("parallel")) and kernel.__name__ not in PARTIAL
+    """Whether a kernel is called from Python: only those are kept on disk."""
+    return kernel.stats.cache_path is not None and kernel.__name__ not in PARTIAL
 
 
 def copy_bandwidth(threads: int | None = None) -> float:

@@ -1,5 +1,6 @@
 """Work shared among threads: every row once, whatever their number, and failures reported."""
 
+import subprocess
 import sys
 from typing import NamedTuple
 
@@ -97,3 +98,11 @@ def test_arrays_are_released():
     before = sys.getrefcount(counts), sys.getrefcount(factor)
     scale(counts, Pair(factor, 0.0), np.zeros(40, int))
     assert (sys.getrefcount(counts), sys.getrefcount(factor)) == before
+
+
+def test_importing_launches_no_threads():
+    # a process with threads of OpenMP cannot be forked, as multiprocessing would
+    program = "import numba, optical_palpation.cli.stress, optical_palpation.palpation\n"
+    program += "try: print(numba.threading_layer())\nexcept ValueError: print('none')"
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert said.stdout.strip() == "none", said

@@ -12,8 +12,11 @@ from numba.core import cgutils, types
 
 # By its own annotations callers would have to pass the typing context.
 intrinsic: Any = extending.intrinsic
-# Launches the threads, and tells the linker where they are: kernels from the cache need it too.
-nb.get_num_threads()
+
+
+def _launch_threads() -> None:
+    """Launch numba's threads, which tells the linker where they are."""
+    nb.get_num_threads()
 
 
 @intrinsic
@@ -33,6 +36,10 @@ def in_parallel(typing_context, kernel, count, arguments):
     def generate(context, builder, _, values):
         compiled = kernel.dispatcher.overloads[signature.args]
         context.add_linking_libs([compiled.library])
+        _launch_threads()
+        # also before the compiled kernel is loaded from the cache; not earlier, since a process
+        # with threads cannot be forked
+        context.active_code_library._reload_init.add(_launch_threads)
         byte, size = cgutils.voidptr_t, context.get_value_type(types.intp)
         zero, one = size(0), size(1)
         _, rows, given = values

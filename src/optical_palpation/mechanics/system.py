@@ -148,7 +148,8 @@ def assemble(
         diagonal = plane[:, 13, :, :nx1]
         if damping > 0:
             diagonal[:, [0, 4, 8]] += (damping * grid.node_volumes[k])[:, None]
-        _to_contact_frame(plane, k, nz1, contact.row, contact.column, contact.turning)
+        if k == 0 or k >= nz1 - 2:  # the face of the sample has neighbours in the plane below it
+            _to_contact_frame(plane, k, nz1, contact.row, contact.column, contact.turning)
         for face, there in faces:
             if k == there:
                 block = contact.block[face]
@@ -203,8 +204,7 @@ def constraints(
 @nb.njit(cache=True)
 def _to_contact_frame(plane, k, nz1, row, column, turning):
     """Transform rows and columns of a plane at the faces, add the turning stiffness (in place)."""
-    if k == 0 or k >= nz1 - 2:
-        in_parallel(_frame_rows, len(plane), (plane, k, nz1, row, column, turning))
+    in_parallel(_frame_rows, len(plane), (plane, k, nz1, row, column, turning))
 
 
 @nb.njit(fastmath=FAST)
