@@ -219,8 +219,8 @@ def _start(found: dict | None) -> str:
         return f"{_state(found)}\n"
     compiling, compiled = found["compiling"], found["compiled"]
     return (
-        f"The command begins to solve {compiled['solving_s']:.1f} s after it was called (aim: 2). "
-        f"Where no compiled\nkernels are kept yet, a run with 250 um elements takes "
+        f"The command begins to solve {compiled['solving_s']:.1f} s after it was called, median of "
+        f"five (aim: 2). Where no compiled\nkernels are kept yet, a run with 250 um elements takes "
         f"{compiling['whole_s']:.0f} s instead of {compiled['whole_s']:.0f}: "
         f"{compiling['whole_s'] - compiled['whole_s']:.0f} s of compilation (aim: 40).\n"
     )

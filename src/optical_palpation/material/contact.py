@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from optical_palpation.errors import InputError
 from optical_palpation.material.uniaxial import UniaxialTest
@@ -66,6 +65,8 @@ def find_contact(test: UniaxialTest, within: float = 0.15) -> Contact:
         since = width * np.logaddexp(0.0, (x - contact) / width)
         stretch = np.maximum(1.0 + sign * since / (1.0 + sign * contact), 1e-3)
         return np.asarray(sign * modulus / 3.0 * (stretch - stretch**-2))
+
+    from scipy.optimize import least_squares  # slow to load, not needed to compute a stress
 
     start = float(np.interp(0.02 * load.max(), np.maximum.accumulate(load), strain))
     last = start

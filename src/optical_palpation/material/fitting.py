@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from optical_palpation.errors import InputError, MaterialError
@@ -164,6 +163,8 @@ def fit_uniaxial(test: UniaxialTest, law: LawName = "mooney-rivlin") -> Uniaxial
     scale = float(np.max(np.abs(test.stress)))
     if scale == 0.0:
         raise InputError(f"uniaxial test {test.source}: stress is zero everywhere")
+
+    from scipy.optimize import least_squares  # slow to load, not needed to compute a stress
 
     def residual(p: Array) -> Array:
         return _stress(definition, test.stretch, test.measure, p) / scale - test.stress / scale

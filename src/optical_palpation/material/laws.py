@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from optical_palpation.errors import InputError, MaterialError
 
@@ -215,6 +214,8 @@ def stable_stretches(c10: float, c01: float) -> tuple[float, float]:
     ratio = min(c10, c01) / max(c10, c01)
     if ratio >= 0.0:
         return 0.0, math.inf
+    from scipy.optimize import brentq  # slow to load, and seldom needed
+
     # Exchanging the coefficients and inverting the stretch leaves both conditions as they are.
     along = brentq(lambda stretch: 2 * stretch**4 + stretch + ratio * (stretch**3 + 2), 0.0, 1.0)
     across = math.sqrt(-ratio)
