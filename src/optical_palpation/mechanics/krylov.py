@@ -30,6 +30,10 @@ LONGEST = 10
 #: is too much of that and they are taken out again. A layer that snaps has a mode that the
 #: preconditioner blows up by thousands: every iteration would find it anew.
 _CANCELLED = 0.1
+#: Unknowns up to which preconditioned vectors are kept, a sixth of the solver's memory. The
+#: solution is theirs: without them it is preconditioned once more, and of a mode blown up by
+#: thousands only rounded.
+KEPT = 8_000_000
 
 
 class MultigridSolver:
@@ -111,8 +115,6 @@ class MultigridSolver:
 def gmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
     """GMRES from a zero guess, without restart, preconditioned from the right.
 
-    The preconditioner is linear, so that preconditioned vectors need not be kept.
-
     Returns the solution and the number of iterations, each one product and one preconditioning.
     """
     size = float(np.linalg.norm(rhs))
@@ -121,13 +123,17 @@ def gmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
     # not touched, and so not in memory, before it is needed
     basis = np.empty((longest + 1, rhs.size), rhs.dtype)
     np.divide(rhs, rhs.dtype.type(size), out=basis[0])
+    kept = np.empty((longest, rhs.size), rhs.dtype) if rhs.size <= KEPT else None
     h = np.zeros((longest + 1, longest))
     g = np.zeros(longest + 1)
     g[0] = size
     rotations: list[tuple[float, float]] = []
     n = 0
     for n in range(1, longest + 1):
-        w = operator(precondition(basis[n - 1]))
+        step = precondition(basis[n - 1])
+        if kept is not None:
+            kept[n - 1] = step
+        w = operator(step)
         along = basis[:n] @ w
         w -= along @ basis[:n]
         left = float(np.linalg.norm(w))
@@ -151,5 +157,5 @@ def gmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
         g[n - 1], g[n] = c * g[n - 1], -s * g[n - 1]
         if abs(g[n]) <= tolerance * size:
             break
-    y = np.linalg.solve(h[:n, :n], g[:n])
-    return precondition(y.astype(rhs.dtype) @ basis[:n]), n
+    y = np.linalg.solve(h[:n, :n], g[:n]).astype(rhs.dtype)
+    return y @ kept[:n] if kept is not None else precondition(y @ basis[:n]), n

@@ -6,6 +6,7 @@ from math import ceil, floor, log10
 from pathlib import Path
 
 from optical_palpation.errors import InsufficientMemoryError
+from optical_palpation.mechanics.krylov import KEPT, LONGEST
 from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.mechanics.stencil import padded
 
@@ -41,7 +42,9 @@ def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> 
     if solver == "direct":
         return nodes * (_MATRIX + _FACTORS * nz1 * min(nx1, ny1).bit_length())
     rows = nz1 * ny1 * padded(nx1)
-    return rows * _MULTIGRID + rows / nz1 * _FACE + _FIXED
+    unknowns = 4 * nodes
+    kept = 4.0 * LONGEST * unknowns if unknowns <= KEPT else 0.0
+    return rows * _MULTIGRID + rows / nz1 * _FACE + kept + _FIXED
 
 
 def available_memory() -> float:
