@@ -117,7 +117,7 @@ class Body:
         The latter has shape (nz, ny, 24, nx), entry 3 * node + component.
         """
         nz, ny, nx = self.grid.shape
-        stencil = np.empty((*self.grid.node_shape, 27, 3, 3))
+        stencil = np.zeros((*self.grid.node_shape, 27, 3, 3))
         divergence = np.empty((nz, ny, 24, nx))
         law = self.material
         _tangent(
@@ -222,7 +222,6 @@ def _force_rows(
 @nb.njit(cache=True)
 def _tangent(nodes, u, p, stiffness, c10, c01, bulk, dn, stencil, divergence):
     nz, ny, _ = p.shape
-    stencil[:] = 0
     for colour in range(4):
         k0, j0 = colour >> 1, colour & 1
         rows = ((nz - k0 + 1) // 2) * ((ny - j0 + 1) // 2)

@@ -164,6 +164,60 @@ def _force_rows(
         min_jacobian[k, j] = smallest
 
 
+@nb.njit(fastmath=FAST, error_model="numpy")
+def _tangent_row(nodes, u, p, c10, c01, gamma, dn, k, j, w, below, above, divergence):
+    """Add one row of elements to the stencils of the node planes below and above it."""
+    nx = p.shape[2]
+    for i0 in range(0, nx, L):
+        i0 &= LARGEST
+        n = min(L, nx - i0)
+        gather(nodes, u, k, j, i0, nx, w)
+        for l in range(L):
+            w[PRESSURE + l] = p[k, j, min(i0 + l, nx - 1)]
+            w[V0 + l] = 0
+        w[KE:] = 0
+        w[FE : FE + 24 * L] = 0
+        for g in range(8):
+            kinematics(dn[g], w)
+            isochoric_stress(c10, c01, w)
+            elasticity(c01, w)
+            for l in range(L):
+                w[V0 + l] += w[DET + l]
+                pj = w[PRESSURE + l] * w[JAC + l]
+                w[TAU + l] = (w[TAU + l] + pj) * w[DET + l]
+                w[TAU + L + l] = (w[TAU + L + l] + pj) * w[DET + l]
+                w[TAU + 2 * L + l] = (w[TAU + 2 * L + l] + pj) * w[DET + l]
+                w[TAU + 3 * L + l] *= w[DET + l]
+                w[TAU + 4 * L + l] *= w[DET + l]
+                w[TAU + 5 * L + l] *= w[DET + l]
+                w[JAC + l] *= w[DET + l]
+            add_volume_gradient(w)
+            add_stiffness(w)
+        add_penalty(gamma, w)
+        for a in range(8):
+            for c in range(3):
+                for l in range(n):
+                    divergence[k, j, 3 * a + c, i0 + l] = w[FE + (3 * a + c) * L + l]
+        for a in range(8):
+            az, ay, ax = a >> 2, (a >> 1) & 1, a & 1
+            row = (above if az else below)[j + ay]
+            for bb in range(8):
+                bz, by, bx = bb >> 2, (bb >> 1) & 1, bb & 1
+                blocks = row[9 * (bz - az + 1) + 3 * (by - ay + 1) + (bx - ax + 1)]
+                for c in range(3):
+                    for d in range(3):
+                        entries, node = blocks[3 * c + d], i0 + ax
+                        if bb <= a:
+                            start = KE + (9 * (8 * a + bb) + 3 * c + d) * L
+                        else:
+                            start = KE + (9 * (8 * bb + a) + 3 * d + c) * L
+                        if n == L:
+                            add_lanes(entries, node, w, start)
+                        else:
+                            for l in range(n):
+                                entries[node + l] += w[start + l]
+
+
 @nb.njit(cache=True)
 def _tangent_layer(nodes, u, p, c10, c01, gamma, dn, k, below, above, divergence):
     """Add the element layer k to the stencils of the node planes k and k + 1, the latter new."""
@@ -180,7 +234,7 @@ def _tangent_layer(nodes, u, p, c10, c01, gamma, dn, k, below, above, divergence
 
 @nb.njit(fastmath=FAST, error_model="numpy")
 def _tangent_strips(nodes, u, p, c10, c01, gamma, dn, k, odd, below, above, divergence, begin, end):
-    _, ny, nx = p.shape
+    ny = p.shape[1]
     for pair in range(begin, end):
         w = np.empty(ROWS * L, below.dtype)
         first = (2 * pair + odd) * _STRIP
@@ -190,54 +244,7 @@ def _tangent_strips(nodes, u, p, c10, c01, gamma, dn, k, odd, below, above, dive
             if k == 0:
                 below[j] = 0
         for j in range(first, last):
-            for i0 in range(0, nx, L):
-                i0 &= LARGEST
-                n = min(L, nx - i0)
-                gather(nodes, u, k, j, i0, nx, w)
-                for l in range(L):
-                    w[PRESSURE + l] = p[k, j, min(i0 + l, nx - 1)]
-                    w[V0 + l] = 0
-                w[KE:] = 0
-                w[FE : FE + 24 * L] = 0
-                for g in range(8):
-                    kinematics(dn[g], w)
-                    isochoric_stress(c10, c01, w)
-                    elasticity(c01, w)
-                    for l in range(L):
-                        w[V0 + l] += w[DET + l]
-                        pj = w[PRESSURE + l] * w[JAC + l]
-                        w[TAU + l] = (w[TAU + l] + pj) * w[DET + l]
-                        w[TAU + L + l] = (w[TAU + L + l] + pj) * w[DET + l]
-                        w[TAU + 2 * L + l] = (w[TAU + 2 * L + l] + pj) * w[DET + l]
-                        w[TAU + 3 * L + l] *= w[DET + l]
-                        w[TAU + 4 * L + l] *= w[DET + l]
-                        w[TAU + 5 * L + l] *= w[DET + l]
-                        w[JAC + l] *= w[DET + l]
-                    add_volume_gradient(w)
-                    add_stiffness(w)
-                add_penalty(gamma, w)
-                for a in range(8):
-                    for c in range(3):
-                        for l in range(n):
-                            divergence[k, j, 3 * a + c, i0 + l] = w[FE + (3 * a + c) * L + l]
-                for a in range(8):
-                    az, ay, ax = a >> 2, (a >> 1) & 1, a & 1
-                    row = (above if az else below)[j + ay]
-                    for bb in range(8):
-                        bz, by, bx = bb >> 2, (bb >> 1) & 1, bb & 1
-                        blocks = row[9 * (bz - az + 1) + 3 * (by - ay + 1) + (bx - ax + 1)]
-                        for c in range(3):
-                            for d in range(3):
-                                entries, node = blocks[3 * c + d], i0 + ax
-                                if bb <= a:
-                                    start = KE + (9 * (8 * a + bb) + 3 * c + d) * L
-                                else:
-                                    start = KE + (9 * (8 * bb + a) + 3 * d + c) * L
-                                if n == L:
-                                    add_lanes(entries, node, w, start)
-                                else:
-                                    for l in range(n):
-                                        entries[node + l] += w[start + l]
+            _tangent_row(nodes, u, p, c10, c01, gamma, dn, k, j, w, below, above, divergence)
 
 
 def tangent_planes(

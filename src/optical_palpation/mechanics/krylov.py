@@ -30,7 +30,7 @@ LONGEST = 10
 #: is too much of that and they are taken out again. A layer that snaps has a mode that the
 #: preconditioner blows up by thousands: every iteration would find it anew.
 _CANCELLED = 0.1
-#: Unknowns up to which preconditioned vectors are kept, a sixth of the solver's memory. The
+#: Unknowns up to which preconditioned vectors are kept, a tenth of the solver's memory. The
 #: solution is theirs: without them it is preconditioned once more, and of a mode blown up by
 #: thousands only rounded.
 KEPT = 8_000_000
