@@ -1,12 +1,15 @@
-"""Difference of two maps, in the interior and at the edge."""
+"""Difference of maps, in the interior and at the edge."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
 
-from optical_palpation.analysis.maps import check_map
+from optical_palpation.analysis.maps import check_map, pixel_size
 from optical_palpation.errors import InputError
+from optical_palpation.thickness import lateral_shift
 
 ZONES = ("interior", "edge", "all")
 
@@ -88,3 +91,118 @@ def compare_maps(
         coords={"zone": list(ZONES)},
         attrs={"edge_width_mm": edge_width},
     )
+
+
+def compare_results(
+    results: Mapping[str, xr.Dataset],
+    variable: str = "axial_stress",
+    *,
+    register: bool = False,
+    edge_width: float = 0.5,
+) -> xr.Dataset:
+    """Compare a map of several results with that of the first one, on the pixels of that.
+
+    Parameters
+    ----------
+    results
+        Maps of at least two results by name; the first is the reference.
+    variable
+        Map to compare.
+    register
+        Take back a lateral shift of each result against the reference, found from the loaded
+        thickness, which shows the sample's relief.
+    edge_width
+        As for :func:`compare_maps`.
+
+    Returns
+    -------
+    xarray.Dataset
+        The map itself over ``(result, y, x)``; over ``(compared, y, x)``, which has all results
+        but the reference, ``difference`` (result less reference); over ``(compared, zone)`` the
+        numbers of :func:`compare_maps`; over ``(compared, axis)`` the ``shift`` in mm that was
+        taken back. Where the reference and another result hold ``<variable>_error``, also
+        ``difference_error``, both errors in quadrature (NaN for a result without), and over
+        ``compared`` ``within_error``, the share of pixels whose difference is no larger.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two results, a map is missing or cannot be compared, or there is no
+        relief to register by.
+    """
+    if len(results) < 2:
+        raise InputError(f"a comparison needs at least two results, got {len(results)}")
+    for name, maps in results.items():
+        if variable not in maps:
+            raise InputError(f"{name}: has no map {variable!r}")
+    (first, reference), *others = results.items()
+    base = check_map(reference[variable], first)
+    shown, parts, shifts, errors, within = [base.drop_attrs()], [], [], [], []
+    error_name = f"{variable}_error"
+    for name, maps in others:
+        shift = (0.0, 0.0)
+        if register:
+            shift = _shift(reference, maps, first, name)
+            moved = {axis: maps[axis] - s for axis, s in zip("yx", shift, strict=True)}
+            maps = maps.assign_coords(moved)
+        shifts.append(shift)
+        field = check_map(maps[variable], name)
+        part = compare_maps(field, base, edge_width).assign_coords(y=base["y"], x=base["x"])
+        parts.append(part)
+        here = (part["difference"] + base).drop_attrs()
+        shown.append(here)
+        if error_name in reference and error_name in maps:
+            own = check_map(maps[error_name], f"{name}, error").interp(y=base["y"], x=base["x"])
+            both = np.hypot(check_map(reference[error_name], f"{first}, error").values, own.values)
+        else:
+            both = np.full(base.shape, np.nan)
+        errors.append(both)
+        known = np.isfinite(both) & np.isfinite(part["difference"].values)
+        close = np.abs(part["difference"].values[known]) <= both[known]
+        within.append(float(close.mean()) if close.size else np.nan)
+    units = {"units": base.attrs["units"]} if "units" in base.attrs else {}
+    compared = [name for name, _ in others]
+    result = xr.concat(parts, dim=xr.IndexVariable("compared", compared), join="exact")
+    result["difference"].attrs = units | {"long_name": f"difference from {first}"}
+    result[variable] = xr.concat(shown, dim=xr.IndexVariable("result", list(results)), join="exact")
+    result[variable].attrs = dict(base.attrs)
+    result["shift"] = (
+        ("compared", "axis"),
+        np.array(shifts),
+        {"units": "mm", "long_name": "lateral shift that was taken back"},
+    )
+    result = result.assign_coords(axis=["y", "x"])
+    if np.isfinite(errors).any():
+        result["difference_error"] = (
+            ("compared", "y", "x"),
+            np.array(errors),
+            units | {"long_name": "error of the difference"},
+        )
+        result["within_error"] = (
+            "compared",
+            within,
+            {"units": "1", "long_name": "share of pixels that differ by no more than the error"},
+        )
+    result.attrs = {"edge_width_mm": edge_width, "reference": first, "variable": variable}
+    return result
+
+
+def _shift(reference: xr.Dataset, maps: xr.Dataset, first: str, name: str) -> tuple[float, float]:
+    """Lateral shift (y, x), mm, of a result against the reference, from the loaded thickness."""
+    pair = []
+    for which, of in ((first, reference), (name, maps)):
+        if "loaded_thickness" not in of:
+            raise InputError(f"{which}: has no loaded_thickness to register by")
+        pair.append(check_map(of["loaded_thickness"], which))
+    fixed, moving = pair
+    if not all(np.allclose(pixel_size(fixed)[k], pixel_size(moving)[k], rtol=1e-3) for k in (0, 1)):
+        raise InputError(
+            f"{first} and {name}: pixels of {pixel_size(fixed)} and {pixel_size(moving)} mm (y, x) "
+            "cannot be registered; compute both with the same element_size"
+        )
+    # by number of pixel, since two scans of one sample may begin anywhere
+    n = [min(fixed.sizes[axis], moving.sizes[axis]) for axis in ("y", "x")]
+    parts = [field.isel(y=slice(n[0]), x=slice(n[1])) for field in pair]
+    found = lateral_shift(*parts)
+    start = [float(moving[axis][0] - fixed[axis][0]) for axis in ("y", "x")]
+    return found[0] + start[0], found[1] + start[1]

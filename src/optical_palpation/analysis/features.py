@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from optical_palpation.analysis.maps import check_map, pixel_size
+from optical_palpation.analysis.maps import check_map, pixel_size, plane_noise
 from optical_palpation.errors import InputError
 
 
@@ -75,13 +75,8 @@ def feature_contrast(
             f"feature of {inside.sum()} and surroundings of {ring.sum()} pixels with a value: at "
             "least 6 of each are needed; widen the ring"
         )
-    y, x = np.meshgrid(field["y"].values, field["x"].values, indexing="ij")
-    plane = np.column_stack(
-        [np.ones(ring.sum()), x[ring] - x[ring].mean(), y[ring] - y[ring].mean()]
-    )
     around = field.values[ring]
-    coefficients, *_ = np.linalg.lstsq(plane, around, rcond=None)
-    noise = float(np.sqrt(np.sum((around - plane @ coefficients) ** 2) / (around.size - 3)))
+    noise = plane_noise(field, ring)
     if noise == 0.0:
         raise InputError("the surroundings of the feature have no noise: the contrast is infinite")
     mean, background = float(field.values[inside].mean()), float(around.mean())

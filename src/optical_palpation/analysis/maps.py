@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from optical_palpation.errors import InputError
 
@@ -35,3 +36,18 @@ def pixel_size(field: xr.DataArray) -> tuple[float, float]:
     """Pixel spacing (y, x) in mm."""
     y, x = field["y"].values, field["x"].values
     return float(y[-1] - y[0]) / (y.size - 1), float(x[-1] - x[0]) / (x.size - 1)
+
+
+def plane_noise(field: xr.DataArray, mask: NDArray[np.bool_]) -> float:
+    """Standard deviation about a plane of the pixels in a mask, in the unit of the map.
+
+    A slope is no noise. `field` is a map as :func:`check_map` gives it, the mask holds at least
+    four of its pixels, all with a value.
+    """
+    y, x = np.meshgrid(field["y"].values, field["x"].values, indexing="ij")
+    plane = np.column_stack(
+        [np.ones(mask.sum()), x[mask] - x[mask].mean(), y[mask] - y[mask].mean()]
+    )
+    values = field.values[mask]
+    coefficients, *_ = np.linalg.lstsq(plane, values, rcond=None)
+    return float(np.sqrt(np.sum((values - plane @ coefficients) ** 2) / (values.size - 3)))

@@ -1,0 +1,314 @@
+"""Regions of interest of a map: which pixels they hold, and what the map says there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from optical_palpation.analysis.maps import check_map, pixel_size, plane_noise
+from optical_palpation.errors import InputError
+
+#: Points along each side of a pixel by which the share of it that lies in an outline is counted.
+_POINTS = 8
+#: Directions of the polygon that stands for an ellipse.
+_CORNERS = 180
+# Variables whose integral is a force, and the sign that makes compression positive.
+_FORCES = {
+    "axial_stress": -1.0,
+    "algebraic_axial_stress": -1.0,
+    "contact_pressure": 1.0,
+    "traction_z": -1.0,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A named part of the field of view.
+
+    Make one with :meth:`rectangle`, :meth:`ellipse`, :meth:`polygon` or :meth:`of_mask`.
+
+    Attributes
+    ----------
+    name
+        What to call it in tables and figures.
+    outlines
+        Closed polygons, each ``(n, 2)`` of x and y in mm; where two overlap is a hole. Empty for
+        a region that was given as a mask.
+    mask
+        Share of each pixel that belongs to it, on ``(y, x)``; ``None`` where outlines say so.
+    """
+
+    name: str
+    outlines: tuple[NDArray[np.float64], ...] = ()
+    mask: xr.DataArray | None = None
+
+    @classmethod
+    def polygon(cls, name: str, vertices: ArrayLike) -> Region:
+        """Region within a polygon of at least three vertices, ``(n, 2)`` of x and y in mm.
+
+        Raises
+        ------
+        InputError
+            If there are fewer vertices, or one is no pair of finite numbers.
+        """
+        try:
+            outline = np.asarray(vertices, dtype=np.float64)
+        except (TypeError, ValueError):
+            outline = np.empty(0)
+        if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
+            raise InputError(
+                f"region {name!r}: a polygon needs at least three vertices (x, y) in mm"
+            )
+        if not np.isfinite(outline).all():
+            raise InputError(f"region {name!r}: a vertex is not finite")
+        return cls(name, (outline,))
+
+    @classmethod
+    def rectangle(cls, name: str, x0: float, x1: float, y0: float, y1: float) -> Region:
+        """Region of x0 to x1 and y0 to y1, mm.
+
+        Raises
+        ------
+        InputError
+            If it has no area.
+        """
+        if not (x0 < x1 and y0 < y1):
+            raise InputError(
+                f"region {name!r}: a rectangle needs x0 < x1 and y0 < y1, found x {x0:g} to {x1:g} "
+                f"and y {y0:g} to {y1:g} mm"
+            )
+        return cls.polygon(name, [(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+
+    @classmethod
+    def ellipse(
+        cls, name: str, centre: tuple[float, float], semi_axes: tuple[float, float]
+    ) -> Region:
+        """Region within an ellipse about a centre (x, y) of given semi-axes along x and y, mm.
+
+        Raises
+        ------
+        InputError
+            If a semi-axis is not positive.
+        """
+        if not min(semi_axes) > 0.0:
+            raise InputError(f"region {name!r}: semi-axes must be positive, found {semi_axes}")
+        angle = np.linspace(0.0, 2 * np.pi, _CORNERS, endpoint=False)
+        unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        # a polygon of the ellipse's area, not one inscribed in it
+        unit *= np.sqrt(2 * np.pi / _CORNERS / np.sin(2 * np.pi / _CORNERS))
+        return cls.polygon(name, np.asarray(centre) + unit * np.asarray(semi_axes))
+
+    @classmethod
+    def of_mask(cls, name: str, mask: xr.DataArray) -> Region:
+        """Region of the pixels that are true in a mask on ``(y, x)``, coordinates in mm.
+
+        Raises
+        ------
+        InputError
+            If the mask is no such map, or true nowhere.
+        """
+        if not isinstance(mask, xr.DataArray) or set(mask.dims) != {"y", "x"}:
+            raise InputError(
+                f"region {name!r}: a mask is a DataArray over y and x, not {type(mask).__name__}"
+            )
+        if mask.dtype != bool or not mask.values.any():
+            raise InputError(
+                f"region {name!r}: a mask holds true and false, and true somewhere; found "
+                f"{mask.dtype}, {int(mask.values.astype(bool).sum())} pixels true"
+            )
+        return cls(name, mask=mask.transpose("y", "x").astype(float))
+
+    def weights(self, like: xr.DataArray) -> xr.DataArray:
+        """Share of each pixel of a map that lies in the region, 0 to 1, on ``(y, x)``.
+
+        Raises
+        ------
+        InputError
+            If the region lies outside of the map.
+        """
+        field = check_map(like, "map")
+        y, x = field["y"].values, field["x"].values
+        if self.mask is not None:
+            at = self.mask.sortby(["y", "x"])
+            shares = at.interp(y=y, x=x, method="nearest", kwargs={"fill_value": 0.0}).values
+        else:
+            shares = self._shares(y, x, pixel_size(field))
+        if not shares.any():
+            raise InputError(
+                f"region {self.name!r} lies outside of the map, x {x[0]:g} to {x[-1]:g} and y "
+                f"{y[0]:g} to {y[-1]:g} mm"
+            )
+        return field.copy(data=shares).rename("weight").drop_attrs(deep=False)
+
+    def _shares(
+        self, y: NDArray[np.float64], x: NDArray[np.float64], size: tuple[float, float]
+    ) -> NDArray[np.float64]:
+        from skimage.measure import points_in_poly
+
+        shares = np.zeros((y.size, x.size))
+        corners = np.concatenate(self.outlines)
+        (x0, y0), (x1, y1) = corners.min(0), corners.max(0)
+        rows = np.flatnonzero((y > y0 - size[0]) & (y < y1 + size[0]))
+        columns = np.flatnonzero((x > x0 - size[1]) & (x < x1 + size[1]))
+        if rows.size == 0 or columns.size == 0:
+            return shares
+        within = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
+        fine_y = (y[rows, None] + within * size[0]).ravel()
+        fine_x = (x[columns, None] + within * size[1]).ravel()
+        grid = np.stack(np.meshgrid(fine_x, fine_y), -1).reshape(-1, 2)
+        inside = np.zeros(len(grid), bool)
+        for outline in self.outlines:
+            inside ^= points_in_poly(grid, outline)
+        blocks = inside.reshape(rows.size, _POINTS, columns.size, _POINTS)
+        shares[np.ix_(rows, columns)] = blocks.mean(axis=(1, 3))
+        return shares
+
+
+def region_statistics(
+    maps: xr.Dataset,
+    regions: Sequence[Region],
+    variable: str = "axial_stress",
+    background: Region | Literal["rest"] | None = "rest",
+) -> xr.Dataset:
+    """Tell what a map says in regions of interest.
+
+    A pixel at the rim of a region counts by the share of it that lies inside, so that areas and
+    forces do not jump with the pixels. Pixels without a value are left out and counted.
+
+    Parameters
+    ----------
+    maps
+        Maps of a result on ``(y, x)``.
+    regions
+        At least one; names must differ.
+    variable
+        The map to look at.
+    background
+        What regions are compared with: a region, ``"rest"`` for the pixels that none of them
+        touches, or ``None``.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``region``: ``mean``, ``standard_deviation``, ``minimum``, ``maximum`` in the unit of
+        the map, ``area`` (mm2), ``missing`` (share of the region without a value); of stress and
+        pressure also ``force`` (mN, compression positive). With a background that has a value,
+        ``difference`` (mean less that of the background), and ``contrast``, its size over the
+        background's noise, the standard deviation about a plane. Where the maps hold
+        ``<variable>_error``, ``mean_error``, the mean of that error: that of an error which is the
+        same all over the region, and an upper bound of any other. The attributes hold the mean and
+        noise of the background.
+
+    Raises
+    ------
+    InputError
+        If there is no such map, a region lies outside of it or holds no value, or names repeat.
+    """
+    if variable not in maps:
+        known = ", ".join(str(n) for n, v in maps.data_vars.items() if set(v.dims) == {"y", "x"})
+        raise InputError(f"there is no map {variable!r}; known are {known}")
+    names = [region.name for region in regions]
+    if not names:
+        raise InputError("regions: give at least one")
+    if len(set(names)) < len(names):
+        raise InputError(f"regions: names must differ, found {', '.join(names)}")
+    field = check_map(maps[variable], variable)
+    dy, dx = pixel_size(field)
+    weights = {region.name: region.weights(field).values for region in regions}
+    error = None
+    if f"{variable}_error" in maps:
+        error = check_map(maps[f"{variable}_error"], f"{variable}_error").values
+    rows = []
+    for name, weight in weights.items():
+        rows.append(_statistics(name, field.values, weight, dy * dx, error, _FORCES.get(variable)))
+    units = field.attrs.get("units", "")
+    result = xr.Dataset(
+        {
+            key: ("region", [row[key] for row in rows], {"units": unit or units, "long_name": text})
+            for key, (unit, text) in _COLUMNS.items()
+            if key in rows[0]
+        },
+        {"region": names},
+        {"variable": variable, "long_name": str(field.attrs.get("long_name", variable))},
+    )
+    if background is not None:
+        level = _background(field, weights, background)
+        if level is not None:
+            mean, noise = level
+            difference = result["mean"] - mean
+            result["difference"] = difference.assign_attrs(
+                units=units, long_name="mean less that of the background"
+            )
+            result["contrast"] = abs(difference) / noise if noise > 0 else difference * np.nan
+            result["contrast"].attrs = {
+                "units": "1",
+                "long_name": "difference over the noise of the background",
+            }
+            result.attrs |= {"background_mean": mean, "background_noise": noise}
+    return result
+
+
+_COLUMNS = {
+    "mean": ("", "mean"),
+    "standard_deviation": ("", "standard deviation"),
+    "minimum": ("", "lowest value"),
+    "maximum": ("", "highest value"),
+    "mean_error": ("", "mean of the error"),
+    "force": ("mN", "force, compression positive"),
+    "area": ("mm2", "area"),
+    "missing": ("1", "share without a value"),
+}
+
+
+def _statistics(
+    name: str,
+    values: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    pixel: float,
+    error: NDArray[np.float64] | None,
+    sign: float | None,
+) -> dict[str, float]:
+    seen = np.isfinite(values) & (weight > 0)
+    if not seen.any():
+        raise InputError(f"region {name!r} holds no value: the map is missing all over it")
+    w, v = weight[seen], values[seen]
+    mean = float(np.average(v, weights=w))
+    # of pixels that only touch the region, none is its extreme, unless there are no others
+    inner = v[w >= 0.5] if (w >= 0.5).any() else v
+    row = {
+        "mean": mean,
+        "standard_deviation": float(np.sqrt(np.average((v - mean) ** 2, weights=w))),
+        "minimum": float(inner.min()),
+        "maximum": float(inner.max()),
+        "area": float(weight.sum() * pixel),
+        "missing": float(1.0 - w.sum() / weight.sum()),
+    }
+    if sign is not None:
+        row["force"] = sign * float(w @ v) * pixel
+    if error is not None:
+        row["mean_error"] = float(np.average(np.nan_to_num(error[seen]), weights=w))
+    return row
+
+
+def _background(
+    field: xr.DataArray, weights: Mapping[str, NDArray[Any]], background: Region | str
+) -> tuple[float, float] | None:
+    """Mean and noise of the background, or None where too few pixels are left."""
+    if isinstance(background, Region):
+        mask = background.weights(field).values >= 0.5
+    else:
+        mask = np.all([weight == 0.0 for weight in weights.values()], axis=0)
+    mask = mask & np.isfinite(field.values)
+    if mask.sum() < 6:
+        if isinstance(background, Region):
+            raise InputError(
+                f"background {background.name!r}: {mask.sum()} pixels with a value, at least 6 are "
+                "needed"
+            )
+        return None
+    return float(field.values[mask].mean()), plane_noise(field, mask)

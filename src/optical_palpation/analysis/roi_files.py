@@ -1,0 +1,205 @@
+"""Regions of interest from files: ImageJ, napari, masks and tables of outlines."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from optical_palpation.analysis.maps import check_map, pixel_size
+from optical_palpation.analysis.regions import Region
+from optical_palpation.errors import InputError
+
+_ENDINGS = ".roi or .zip (ImageJ), .csv (napari, or name, x_mm, y_mm), .tif, .png or .npy (masks)"
+_LARGEST = 50_000_000  # bytes; an outline is a thousandth of that
+_MOST_REGIONS = 10_000
+_NAPARI = ["index", "shape-type", "vertex-index", "axis-0", "axis-1"]
+
+
+def read_regions(path: str | os.PathLike[str], like: xr.DataArray | xr.Dataset) -> list[Region]:
+    """Read regions of interest from a file.
+
+    Parameters
+    ----------
+    path
+        One of
+
+        - ``.roi`` or ``.zip``: what ImageJ's ROI manager saves. Rectangles, ovals, polygons and
+          composites; drawn on an image of the pixels of `like`, whose first row is the lowest y,
+          as :func:`~optical_palpation.present.write_tiff` writes it.
+        - ``.csv`` of a napari shapes layer (``index, shape-type, vertex-index, axis-0, axis-1``),
+          drawn over an image of these pixels.
+        - ``.csv`` with the columns ``name``, ``x_mm`` and ``y_mm``: the vertices of outlines.
+        - ``.tif``, ``.png`` or ``.npy``: a mask or labels with the pixels of `like`, first row
+          lowest y; every whole number above 0 is a region.
+    like
+        A map of the result, or all of them: tells where pixels lie.
+
+    Returns
+    -------
+    list of Region
+        In the order of the file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, holds no region, or does not fit to the maps.
+    """
+    path = Path(path)
+    if isinstance(like, xr.Dataset):
+        like = next(v for v in like.data_vars.values() if set(v.dims) == {"y", "x"})
+    field = check_map(like, "map")
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(f"{path}: is too large for a file of regions")
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    readers = {
+        ".roi": _imagej,
+        ".zip": _imagej,
+        ".csv": _table,
+        ".tif": _labels,
+        ".tiff": _labels,
+        ".png": _labels,
+        ".npy": _labels,
+    }
+    if (reader := readers.get(path.suffix.lower())) is None:
+        raise InputError(f"{path}: regions are read from {_ENDINGS}")
+    try:
+        regions = reader(path, content, field)
+    except InputError:
+        raise
+    except Exception as error:  # whatever a library makes of damaged data
+        raise InputError(f"{path}: is damaged, or no file of regions ({error})") from error
+    if not regions:
+        raise InputError(f"{path}: holds no region")
+    return _numbered(regions)
+
+
+def _imagej(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
+    import roifile
+
+    if path.suffix.lower() == ".zip":
+        rois = []
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            members = [m for m in archive.infolist() if m.filename.lower().endswith(".roi")]
+            if len(members) > _MOST_REGIONS or sum(m.file_size for m in members) > _LARGEST:
+                raise InputError(f"{path}: holds more than a file of regions can")
+            for member in members:
+                roi = roifile.ImagejRoi.frombytes(archive.read(member))
+                roi.name = roi.name or Path(member.filename).stem
+                rois.append(roi)
+    else:
+        rois = [roifile.ImagejRoi.frombytes(content)]
+    areas = {"RECT", "OVAL", "POLYGON", "FREEHAND", "TRACED", "COMPOSITE"}
+    regions = []
+    for roi in rois:
+        kind = "COMPOSITE" if roi.composite else roi.roitype.name
+        name = roi.name or path.stem
+        if kind not in areas:
+            raise InputError(
+                f"{path}: {name!r} is a {kind.lower()}, which has no area; save areas only"
+            )
+        outlines = roi.coordinates(multi=True)
+        if not isinstance(outlines, list):
+            outlines = [outlines]
+        # ImageJ counts from the corner of the first pixel
+        placed = [_placed(np.asarray(o, float) - 0.5, field) for o in outlines if len(o) > 2]
+        if not placed:
+            raise InputError(f"{path}: {name!r} has no area")
+        for outline in placed:
+            Region.polygon(name, outline)  # refuses what is not finite
+        regions.append(Region(name, tuple(placed)))
+    return regions
+
+
+def _placed(pixels: NDArray[np.float64], field: xr.DataArray) -> NDArray[np.float64]:
+    """Positions in mm of points (column, row) that count from the centre of the first pixel."""
+    dy, dx = pixel_size(field)
+    origin = np.array([float(field["x"][0]), float(field["y"][0])])
+    return origin + pixels * [dx, dy]
+
+
+def _table(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
+    table = pd.read_csv(io.BytesIO(content), comment="#", skipinitialspace=True)
+    if list(table.columns[:5]) == _NAPARI:
+        if len(table.columns) > 5:
+            raise InputError(f"{path}: shapes in more than two dimensions; draw them on a map")
+        regions = []
+        for number, shape in table.groupby("index", sort=True):
+            kind = str(shape["shape-type"].iloc[0])
+            corners = shape.sort_values("vertex-index")[["axis-1", "axis-0"]].to_numpy(float)
+            if kind in ("line", "path"):
+                raise InputError(f"{path}: shape {number} is a {kind}, which has no area")
+            placed = _placed(corners, field)
+            if kind == "ellipse":  # saved as the four corners of its box, which may be turned
+                centre = placed.mean(0)
+                turn = [(placed[1] - placed[0]) / 2, (placed[2] - placed[1]) / 2]
+                unit = Region.ellipse("unit", (0.0, 0.0), (1.0, 1.0)).outlines[0]
+                placed = centre + unit @ np.stack(turn)
+            regions.append(Region.polygon(f"{kind} {number}", placed))
+        return regions
+    if not {"name", "x_mm", "y_mm"} <= set(table.columns):
+        raise InputError(
+            f"{path}: needs the columns name, x_mm, y_mm (vertices of outlines), or those of a "
+            f"napari shapes layer; found {', '.join(map(str, table.columns))}"
+        )
+    return [
+        Region.polygon(str(name), rows[["x_mm", "y_mm"]].to_numpy(float))
+        for name, rows in table.groupby("name", sort=False)
+    ]
+
+
+def _labels(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
+    if path.suffix.lower() == ".npy":
+        labels = np.load(io.BytesIO(content), allow_pickle=False)
+    elif path.suffix.lower() == ".png":
+        from PIL import Image
+
+        labels = np.asarray(Image.open(io.BytesIO(content)))
+    else:
+        import tifffile
+
+        labels = tifffile.imread(io.BytesIO(content))
+    if labels.ndim == 3 and labels.shape[-1] in (3, 4):
+        raise InputError(f"{path}: is a colour picture; save a mask or labels, one number a pixel")
+    if labels.shape != field.shape or labels.dtype.kind not in "bui":
+        raise InputError(
+            f"{path}: a mask has whole numbers on the pixels of the map, "
+            f"{field.shape[0]} x {field.shape[1]}; found {labels.dtype}, "
+            f"{' x '.join(map(str, labels.shape))}"
+        )
+    found = [number for number in np.unique(labels) if number > 0]
+    if len(found) > _MOST_REGIONS:
+        raise InputError(f"{path}: {len(found)} different numbers are no labels of regions")
+    here = {"y": field["y"], "x": field["x"]}
+    one = path.stem if len(found) == 1 else None
+    return [
+        Region.of_mask(
+            one or f"label {number}", xr.DataArray(labels == number, here, dims=("y", "x"))
+        )
+        for number in found
+    ]
+
+
+def _numbered(regions: list[Region]) -> list[Region]:
+    """Give regions of the same name a number."""
+    names = [region.name for region in regions]
+    counts: dict[str, int] = {}
+    result = []
+    for region in regions:
+        name = region.name
+        if names.count(name) > 1:
+            counts[name] = counts.get(name, 0) + 1
+            name = f"{name} {counts[name]}"
+        result.append(Region(name, region.outlines, region.mask))
+    return result

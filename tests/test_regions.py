@@ -1,0 +1,326 @@
+"""Regions of interest, profiles along lines and comparison of results, against geometry by hand."""
+
+import contextlib
+
+import numpy as np
+import pandas as pd
+import pytest
+import roifile
+import tifffile
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optical_palpation.analysis import (
+    Region,
+    compare_results,
+    line_profile,
+    read_regions,
+    region_statistics,
+)
+from optical_palpation.errors import InputError
+
+X, Y = 1.0 + 0.1 * np.arange(41), -0.5 + 0.05 * np.arange(61)
+
+
+def maps_of(function, error=None, x=X, y=Y):
+    grid_y, grid_x = np.meshgrid(y, x, indexing="ij")
+    maps = xr.Dataset(
+        {"axial_stress": (("y", "x"), function(grid_x, grid_y), {"units": "kPa"})},
+        {"y": y, "x": x},
+    )
+    if error is not None:
+        maps["axial_stress_error"] = maps["axial_stress"] * 0 + error
+    return maps
+
+
+@given(
+    x0=st.floats(1.2, 2.5),
+    y0=st.floats(-0.3, 0.8),
+    width=st.floats(0.2, 1.5),
+    height=st.floats(0.2, 1.2),
+)
+def test_area_and_force_of_a_rectangle_do_not_jump_with_the_pixels(x0, y0, width, height):
+    region = Region.rectangle("r", x0, x0 + width, y0, y0 + height)
+    found = region_statistics(maps_of(lambda x, y: -2.0 + 0 * x), [region]).sel(region="r")
+    # counted by points an eighth of a pixel apart
+    slack = 2 * (0.1 / 8) * height + 2 * (0.05 / 8) * width
+    assert float(found["area"]) == pytest.approx(width * height, abs=slack)
+    assert float(found["force"]) == pytest.approx(2.0 * float(found["area"]), rel=1e-12)
+    assert float(found["mean"]) == pytest.approx(-2.0)
+    assert float(found["standard_deviation"]) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_mean_over_an_ellipse_on_a_slope_is_the_value_at_its_centre():
+    region = Region.ellipse("spot", (3.0, 1.0), (0.8, 0.4))
+    found = region_statistics(maps_of(lambda x, y: -x - 3 * y), [region]).sel(region="spot")
+    assert float(found["mean"]) == pytest.approx(-6.0, abs=0.005)
+    assert float(found["area"]) == pytest.approx(np.pi * 0.32, rel=0.005)
+    # of x + 3 y over the ellipse: semi-axes squared over four
+    assert float(found["standard_deviation"]) == pytest.approx(
+        np.sqrt((0.8**2 + (3 * 0.4) ** 2) / 4), rel=0.02
+    )
+
+
+def test_extremes_errors_gaps_and_contrast():
+    noise = np.random.default_rng(1).normal(0, 0.1, (Y.size, X.size))
+    maps = maps_of(lambda x, y: -1.0 + noise, error=0.3)
+    inside = (abs(maps["x"] - 3.0) < 0.5) & (abs(maps["y"] - 1.0) < 0.4)
+    maps["axial_stress"] = maps["axial_stress"] - 4.0 * inside.transpose("y", "x")
+    maps["axial_stress"][30, 20] = np.nan
+    region = Region.of_mask("bump", inside.transpose("y", "x"))
+    found = region_statistics(maps, [region]).sel(region="bump")
+    values = maps["axial_stress"].values[inside.transpose("y", "x").values]
+    assert float(found["mean"]) == pytest.approx(np.nanmean(values))
+    assert float(found["minimum"]) == np.nanmin(values)
+    assert float(found["maximum"]) == np.nanmax(values)
+    assert float(found["missing"]) == pytest.approx(1 / values.size)
+    assert float(found["mean_error"]) == pytest.approx(0.3)
+    assert float(found["contrast"]) == pytest.approx(4.0 / 0.1, rel=0.1)
+    assert found.attrs["background_mean"] == pytest.approx(-1.0, abs=0.02)
+    dark = Region.rectangle("dark", 1.2, 1.8, -0.3, 0.5)
+    against = region_statistics(maps, [region], background=dark)
+    assert float(against["difference"][0]) == pytest.approx(-4.0, abs=0.1)
+    assert "contrast" not in region_statistics(maps, [region], background=None)
+
+
+def test_a_hole_is_no_part_of_a_region():
+    outer = Region.rectangle("o", 1.5, 4.5, 0.0, 2.0).outlines[0]
+    inner = Region.rectangle("i", 2.5, 3.5, 0.5, 1.5).outlines[0]
+    found = region_statistics(
+        maps_of(lambda x, y: x * 0 - 1.0), [Region("ring", (outer, inner))], background=None
+    )
+    assert float(found["area"][0]) == pytest.approx(6.0 - 1.0, abs=0.05)
+
+
+def test_regions_that_cannot_be_used():
+    maps = maps_of(lambda x, y: -x)
+    region = Region.rectangle("a", 2, 3, 0, 1)
+    with pytest.raises(InputError, match="outside of the map"):
+        region_statistics(maps, [Region.rectangle("far", 20, 30, 0, 1)])
+    with pytest.raises(InputError, match="names must differ"):
+        region_statistics(maps, [region, region])
+    with pytest.raises(InputError, match="no map 'strain'; known are axial_stress"):
+        region_statistics(maps, [region], "strain")
+    with pytest.raises(InputError, match="at least one"):
+        region_statistics(maps, [])
+    with pytest.raises(InputError, match="three vertices"):
+        Region.polygon("line", [(0, 0), (1, 1)])
+    with pytest.raises(InputError, match="x0 < x1"):
+        Region.rectangle("turned", 3, 2, 0, 1)
+    with pytest.raises(InputError, match="true somewhere"):
+        Region.of_mask("none", xr.zeros_like(maps["axial_stress"], dtype=bool))
+    maps["axial_stress"][:] = np.where(maps["x"] > 1.9, np.nan, maps["axial_stress"])
+    with pytest.raises(InputError, match="holds no value"):
+        region_statistics(maps, [region])
+
+
+def test_imagej_regions_lie_where_they_were_drawn(tmp_path):
+    """Corners of pixels in ImageJ are whole numbers: its box covers columns 10 to 19."""
+    maps = maps_of(lambda x, y: -x)
+    box = roifile.ImagejRoi(
+        roitype=roifile.ROI_TYPE.RECT, left=10, top=20, right=20, bottom=40, name="box"
+    )
+    polygon = roifile.ImagejRoi.frompoints(
+        np.array([(5.5, 5.5), (15.5, 5.5), (5.5, 25.5)]), name="triangle"
+    )
+    roifile.roiwrite(tmp_path / "set.zip", [box, polygon])
+    regions = read_regions(tmp_path / "set.zip", maps)
+    assert [r.name for r in regions] == ["box", "triangle"]
+    found = region_statistics(maps, regions)
+    assert float(found["area"].sel(region="box")) == pytest.approx(10 * 0.1 * 20 * 0.05)
+    inside = X[10:20].mean()
+    assert float(found["mean"].sel(region="box")) == pytest.approx(-inside)
+    assert float(found["area"].sel(region="triangle")) == pytest.approx(0.5 * 1.0 * 1.0, rel=0.02)
+    box.tofile(tmp_path / "one.roi")
+    (one,) = read_regions(tmp_path / "one.roi", maps["axial_stress"])
+    np.testing.assert_allclose(one.weights(maps["axial_stress"]), regions[0].weights(
+        maps["axial_stress"]
+    ))  # fmt: skip
+
+
+def test_an_imagej_oval_has_its_area(tmp_path):
+    maps = maps_of(lambda x, y: -x)
+    oval = roifile.ImagejRoi(
+        roitype=roifile.ROI_TYPE.OVAL, left=10, top=10, right=30, bottom=50, name="oval"
+    )
+    oval.tofile(tmp_path / "oval.roi")
+    found = region_statistics(maps, read_regions(tmp_path / "oval.roi", maps))
+    assert float(found["area"][0]) == pytest.approx(np.pi * 1.0 * 1.0, rel=0.01)
+    assert float(found["mean"][0]) == pytest.approx(-(1.0 + 0.1 * 19.5), abs=0.01)
+
+
+def napari_table(path, shapes):
+    rows = [
+        (number, kind, k, *corner)
+        for number, (kind, corners) in enumerate(shapes)
+        for k, corner in enumerate(corners)
+    ]
+    columns = ["index", "shape-type", "vertex-index", "axis-0", "axis-1"]
+    pd.DataFrame(rows, columns=columns).to_csv(path, index=False)
+
+
+def test_napari_shapes_count_from_the_centre_of_the_first_pixel(tmp_path):
+    maps = maps_of(lambda x, y: -x)
+    corners = [(9.5, 4.5), (9.5, 14.5), (29.5, 14.5), (29.5, 4.5)]
+    napari_table(tmp_path / "s.csv", [("rectangle", corners), ("ellipse", corners)])
+    regions = read_regions(tmp_path / "s.csv", maps)
+    found = region_statistics(maps, regions)
+    assert list(found["region"].values) == ["rectangle 0", "ellipse 1"]
+    assert float(found["area"][0]) == pytest.approx(1.0)
+    assert float(found["mean"][0]) == pytest.approx(-X[5:15].mean())
+    assert float(found["area"][1]) == pytest.approx(np.pi / 4, rel=0.01)
+    napari_table(tmp_path / "l.csv", [("line", [(0, 0), (1, 1)])])
+    with pytest.raises(InputError, match="no area"):
+        read_regions(tmp_path / "l.csv", maps)
+
+
+@pytest.mark.parametrize("ending", ["tif", "npy", "png"])
+def test_labels_are_regions(tmp_path, ending):
+    maps = maps_of(lambda x, y: -x)
+    labels = np.zeros((Y.size, X.size), np.uint8)
+    labels[2:10, 3:7] = 1
+    labels[20:30, 10:20] = 7
+    path = tmp_path / f"cells.{ending}"
+    if ending == "tif":
+        tifffile.imwrite(path, labels)
+    elif ending == "npy":
+        np.save(path, labels)
+    else:
+        from PIL import Image
+
+        Image.fromarray(labels).save(path)
+    found = region_statistics(maps, read_regions(path, maps))
+    assert list(found["region"].values) == ["label 1", "label 7"]
+    assert float(found["area"][1]) == pytest.approx(100 * 0.005)
+    assert float(found["mean"][0]) == pytest.approx(-X[3:7].mean())
+
+
+def test_a_table_of_outlines(tmp_path):
+    (tmp_path / "r.csv").write_text("name,x_mm,y_mm\na,2,0\na,3,0\na,3,1\na,2,1\n")
+    maps = maps_of(lambda x, y: -x)
+    (region,) = read_regions(tmp_path / "r.csv", maps)
+    assert float(region_statistics(maps, [region])["area"][0]) == pytest.approx(1.0, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("none.roi", None, "no such file"),
+        ("a.roi", b"nothing of the kind", "a.roi"),
+        ("a.zip", b"PK nothing", "a.zip"),
+        ("a.csv", b"x,y\n1,2\n", "name, x_mm, y_mm"),
+        ("a.csv", b"", "a.csv"),
+        ("a.npy", b"\x93NUMPY", "a.npy"),
+        ("a.txt", b"", "regions are read from"),
+    ],
+)
+def test_files_that_hold_no_regions(tmp_path, name, content, message):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        read_regions(tmp_path / name, maps_of(lambda x, y: -x))
+
+
+@given(at=st.integers(0, 10_000), bit=st.integers(0, 7), cut=st.booleans())
+def test_damaged_roi_files_are_refused_or_read(tmp_path_factory, at, bit, cut):
+    folder = tmp_path_factory.getbasetemp()
+    polygon = roifile.ImagejRoi.frompoints(np.array([(5.5, 5.5), (15.5, 5.5), (5.5, 25.5)]))
+    content = bytearray(polygon.tobytes())
+    at %= len(content)
+    if cut:
+        content = content[:at]
+    else:
+        content[at] ^= 1 << bit
+    path = folder / "damaged.roi"
+    path.write_bytes(content)
+    maps = maps_of(lambda x, y: -x)
+    with contextlib.suppress(InputError):
+        for region in read_regions(path, maps):
+            assert all(np.isfinite(o).all() for o in region.outlines)
+
+
+@given(angle=st.floats(0, 6.28), width=st.floats(0, 0.4))
+def test_a_profile_across_a_plane_is_a_straight_line(angle, width):
+    maps = maps_of(lambda x, y: 2 * x - y)
+    start = np.array([3.0, 1.0])
+    end = start + 0.8 * np.array([np.cos(angle), np.sin(angle)])
+    found = line_profile(maps, start, end, width)
+    np.testing.assert_allclose(
+        found["axial_stress"], 2 * found["x"].values - found["y"].values, atol=1e-9
+    )
+    assert float(found["distance"][-1]) == pytest.approx(0.8)
+    assert found["axial_stress"].attrs["units"] == "kPa"
+
+
+def test_a_profile_keeps_states_whole_and_has_no_value_outside():
+    maps = maps_of(lambda x, y: x)
+    maps["contact_state"] = (maps["axial_stress"] > 3).astype(np.int8) * 2
+    found = line_profile(maps, (0.0, 0.5), (4.0, 0.5))
+    assert set(found["contact_state"].dropna("distance").values) == {0, 2}
+    assert np.isnan(found["axial_stress"][0])
+    for wrong, message in (
+        (((1, 1), (1, 1)), "same place"),
+        ((1.0, (2, 2)), "start"),
+        (((1, 1), "end"), "end"),
+        (((50, 1), (60, 1)), "misses"),
+    ):
+        with pytest.raises(InputError, match=message):
+            line_profile(maps, *wrong)
+
+
+def bumps(x, y):
+    return -1 - np.exp(-((x - 2.2) ** 2 + (y - 0.9) ** 2) / 0.1) - np.exp(
+        -((x - 3.6) ** 2 + (y - 1.7) ** 2) / 0.05
+    )  # fmt: skip
+
+
+def with_thickness(maps):
+    return maps.assign(loaded_thickness=0.5 + 0.1 * maps["axial_stress"])
+
+
+def test_two_results_are_compared_with_their_errors():
+    first = maps_of(bumps, error=0.3)
+    second = maps_of(lambda x, y: bumps(x, y) + 0.1 * (x > 3) + 1.0 * (y > 2), error=0.4)
+    found = compare_results({"before": first, "after": second})
+    assert found.attrs["reference"] == "before"
+    assert list(found["result"].values) == ["before", "after"]
+    np.testing.assert_allclose(found["axial_stress"].sel(result="after"), second["axial_stress"])
+    np.testing.assert_allclose(
+        found["difference"].sel(compared="after"),
+        second["axial_stress"] - first["axial_stress"],
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(found["difference_error"], 0.5)
+    assert float(found["within_error"][0]) == pytest.approx(float((Y <= 2).mean()))
+    assert found["rms"].sizes == {"compared": 1, "zone": 3}
+    without = compare_results({"before": first, "after": second.drop_vars("axial_stress_error")})
+    assert "difference_error" not in without
+
+
+def test_registration_takes_a_shift_back():
+    first = with_thickness(maps_of(bumps))
+    shifted = with_thickness(maps_of(lambda x, y: bumps(x - 0.3, y + 0.1)))
+    found = compare_results({"a": first, "b": shifted}, register=True)
+    np.testing.assert_allclose(found["shift"][0], [-0.1, 0.3], atol=0.01)
+    loose = compare_results({"a": first, "b": shifted})
+    at = {"compared": "b", "zone": "all"}
+    assert float(found["rms"].sel(at)) < 0.1 * float(loose["rms"].sel(at))
+
+
+def test_registration_does_not_depend_on_where_a_scan_begins():
+    first = with_thickness(maps_of(bumps))
+    elsewhere = first.assign_coords(x=first["x"] + 7.0, y=first["y"] - 3.0)
+    found = compare_results({"a": first, "b": elsewhere}, register=True)
+    np.testing.assert_allclose(found["shift"][0], [-3.0, 7.0], atol=1e-9)
+    assert float(found["rms"].sel(zone="all")[0]) < 1e-9
+
+
+def test_results_that_cannot_be_compared():
+    first = maps_of(bumps)
+    with pytest.raises(InputError, match="at least two"):
+        compare_results({"a": first})
+    with pytest.raises(InputError, match="b: has no map"):
+        compare_results({"a": first, "b": xr.Dataset()})
+    with pytest.raises(InputError, match="to register by"):
+        compare_results({"a": first, "b": first}, register=True)
