@@ -17,12 +17,11 @@ from functools import partial
 import numba as nb
 import numpy as np
 
+from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics import stencil as st
-from optical_palpation.mechanics.elements import (
-    GRADIENTS,
-    internal_force,
-    tangent_planes,
-)
+from optical_palpation.mechanics.body import Body
+from optical_palpation.mechanics.elements import GRADIENTS, internal_force
+from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.multigrid import Hierarchy
 from optical_palpation.mechanics.schur import SchurComplement
 from performance_probe import copy_bandwidth
@@ -45,14 +44,15 @@ def seconds(run: Callable[[], object]) -> float:
 def measure(nx: int, ny: int, nz: int) -> list[tuple[str, float, int]]:
     """Return (kernel, seconds, bytes) on one grid."""
     z, y, x = (np.linspace(0, length, n + 1) for length, n in ((THICKNESS, nz), (5, ny), (5, nx)))
-    nodes = np.stack(np.broadcast_arrays(x, y[:, None], z[:, None, None])).copy()
-    u = nodes * np.array([0.19, 0.19, -0.3])[:, None, None, None]
-    u += 0.01 * nodes[2] * np.sin(4 * nodes[[1, 2, 0]])
-    p = np.random.default_rng(0).standard_normal((nz, ny, nx))
+    grid = LayerGrid(x, y, z / THICKNESS, np.full((ny + 1, nx + 1), THICKNESS))
+    body = Body(grid, MooneyRivlin(C10, C01))
+    u = grid.nodes * np.array([0.19, 0.19, -0.3])[:, None, None, None]
+    u += 0.01 * grid.nodes[2] * np.sin(4 * grid.nodes[[1, 2, 0]])
+    p = np.random.default_rng(0).standard_normal(grid.shape)
     force, volume, reference = np.empty_like(u), np.empty_like(p), np.empty_like(p)
-    jacobian = np.empty((nz, ny))
+    forces = force, volume, reference, np.empty((nz, ny))
     divergence = np.empty((nz, ny, 24, nx), np.float32)
-    law, gamma = (C10, C01), 3 * SHEAR
+    gamma = 3 * SHEAR
     rows: list[tuple[str, float, int]] = []
 
     def row(name: str, run: Callable[[], object], *arrays: np.ndarray) -> None:
@@ -61,14 +61,14 @@ def measure(nx: int, ny: int, nz: int) -> list[tuple[str, float, int]]:
     row(
         "internal force",
         lambda: internal_force(
-            nodes, u, p, *law, GRADIENTS, force, volume, reference, jacobian
+            body.nodes, u, p, body.factor, body.law.coefficients, GRADIENTS, *forces
         ),
-        nodes, u, p, force, volume, reference,
+        body.nodes, u, p, *forces,
     )  # fmt: skip
     hierarchy = Hierarchy((z, y, x))
     fine = hierarchy.levels[0]
-    planes = partial(tangent_planes, nodes, u, p, *law, gamma, divergence)
-    row("tangent", lambda: deque(planes(), 0), nodes, u, p, divergence)
+    planes = partial(body.tangent_planes, u, p, gamma, divergence)
+    row("tangent", lambda: deque(planes(), 0), body.nodes, u, p, divergence)
     free = np.ones(u.shape, bool)
     free[2, [0, -1]] = False
     tangent = [plane.copy() for plane in planes()]

@@ -10,7 +10,6 @@ import pytest
 from calculix import CalculixResult, calculix_installed, run_calculix
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.mechanics.cascade import solve
-from optical_palpation.mechanics.elements import GRADIENTS, element_stress
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths, node_positions
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import Tolerances
@@ -185,8 +184,7 @@ def ours(problem: LayerProblem) -> tuple[float, np.ndarray]:
         tolerances=Tolerances(),
         control=StepControl(0.1, 0.1),
     ).state
-    stress = np.empty((6, *grid.shape))
-    element_stress(grid.nodes, state.u, state.p, problem.c10, problem.c01, GRADIENTS, stress)
+    stress = problem.body.stress(state.u, state.p)
     nz, ny, nx = (count // 2 for count in grid.shape)
     blocks = stress.reshape(6, nz, 2, ny, 2, nx, 2)
     return float(state.normal_force[0].sum()), blocks.mean((2, 4, 6))

@@ -10,10 +10,11 @@ from scipy.optimize import brentq
 
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics.body import Body
 from optical_palpation.mechanics.cascade import solve
 from optical_palpation.mechanics.contact import area_vectors
 from optical_palpation.mechanics.direct import DirectSolver, sparse_matrix
-from optical_palpation.mechanics.elements import GRADIENTS, internal_force, tangent_planes
+from optical_palpation.mechanics.elements import GRADIENTS
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import Tolerances, balance
@@ -52,20 +53,17 @@ def deformed(seed: int = 0):
     return rng, grid, u, rng.standard_normal(grid.shape)
 
 
-def forces(grid, u, p):
-    force, volume, volume_ref = np.empty_like(u), np.empty(grid.shape), np.empty(grid.shape)
-    internal_force(
-        grid.nodes, u, p, C10, C01, GRADIENTS, force, volume, volume_ref, np.empty(grid.shape[:2])
-    )
-    return force, volume, volume_ref
+def body_on(grid, factors=1.0, top=0.0):
+    return Body(grid, MooneyRivlin(C10, C01), factors, top)
 
 
-def energy(grid, u, p):
+def energy(body, u, p):
     """Mixed energy at fixed pressure, straight from the formula, element by element."""
-    position, total = grid.nodes + u, 0.0
-    for k, j, i in np.ndindex(grid.shape):
+    position, total = body.nodes + u, 0.0
+    factor = np.broadcast_to(body.factor, body.grid.shape)
+    for k, j, i in np.ndindex(body.grid.shape):
         corner = [(k + (a >> 2), j + (a >> 1) % 2, i + a % 2) for a in range(8)]
-        reference = np.array([grid.nodes[:, *c] for c in corner])
+        reference = np.array([body.nodes[:, *c] for c in corner])
         current = np.array([position[:, *c] for c in corner])
         for dn in GRADIENTS:
             jacobian = reference.T @ dn
@@ -73,39 +71,61 @@ def energy(grid, u, p):
             big_j, c = np.linalg.det(f), f.T @ f
             i1 = np.trace(c) * big_j ** (-2 / 3)
             i2 = 0.5 * (np.trace(c) ** 2 - np.trace(c @ c)) * big_j ** (-4 / 3)
-            w = C10 * (i1 - 3) + C01 * (i2 - 3) + p[k, j, i] * (big_j - 1)
+            w = factor[k, j, i] * (C10 * (i1 - 3) + C01 * (i2 - 3)) + p[k, j, i] * (big_j - 1)
             total += w * np.linalg.det(jacobian) / 8
     return total
 
 
-def test_internal_force_is_the_derivative_of_the_energy():
+@pytest.mark.parametrize("uneven", [False, True])
+def test_internal_force_is_the_derivative_of_the_energy(uneven):
     rng, grid, u, p = deformed()
+    factors = rng.uniform(0.1, 10, grid.shape) if uneven else 1.0
+    body = body_on(grid, factors, 0.1 * rng.random(grid.node_shape[1:]) if uneven else 0.0)
     direction = rng.standard_normal(u.shape)
     step = 1e-5
-    slope = (energy(grid, u + step * direction, p) - energy(grid, u - step * direction, p)) / (
+    slope = (energy(body, u + step * direction, p) - energy(body, u - step * direction, p)) / (
         2 * step
     )
-    assert_allclose((forces(grid, u, p)[0] * direction).sum(), slope, rtol=1e-7)
+    assert_allclose((body.forces(u, p).force * direction).sum(), slope, rtol=1e-6)
 
 
 @pytest.mark.parametrize("gamma", [0.0, 50.0])
-def test_tangent_is_the_derivative_of_the_force(gamma):
+@pytest.mark.parametrize("uneven", [False, True])
+def test_tangent_is_the_derivative_of_the_force(gamma, uneven):
     rng, grid, u, p = deformed(1)
+    body = body_on(grid, rng.uniform(0.1, 10, grid.shape) if uneven else 1.0)
     divergence = np.empty((*grid.shape[:2], 24, grid.shape[2]))
-    planes = tangent_planes(grid.nodes, u, p, C10, C01, gamma, divergence)
+    planes = body.tangent_planes(u, p, gamma, divergence)
     stencil = np.stack([plane[..., : grid.node_shape[2]].copy() for plane in planes])
     direction, step = rng.standard_normal(u.shape), 1e-6
 
     def penalised(u):
-        # the penalty adds gamma (v - v(u0)) / V to the pressure, whose derivative is the same
-        _, volume, volume_ref = forces(grid, u, p)
-        return forces(grid, u, p + gamma * (volume - start) / volume_ref)[0]
+        # the penalty adds s gamma (v - v(u0)) / V to the pressure, whose derivative is the same
+        now = body.forces(u, p)
+        penalty = body.factor * gamma * (now.volume - start) / now.reference_volume
+        return body.forces(u, p + penalty).force
 
-    start = forces(grid, u, p)[1]
+    start = body.forces(u, p).volume
     expected = (penalised(u + step * direction) - penalised(u - step * direction)) / (2 * step)
     tangent = sparse_matrix(stencil, np.ones(u.shape, bool))
     change = (tangent @ direction.ravel()).reshape(u.shape)
     assert_allclose(change, expected, atol=1e-7 * abs(expected).max())
+
+
+def test_stress_of_a_stiffer_element_is_that_many_times_as_high():
+    rng, grid, u, p = deformed(4)
+    factors = rng.uniform(0.1, 10, grid.shape)
+    stress = body_on(grid).stress(u, p)
+    assert_allclose(
+        body_on(grid, factors, 0.7).stress(u, factors * p), factors * stress, rtol=1e-10, atol=1e-10
+    )
+
+
+@pytest.mark.parametrize("factors", [np.ones((2, 2, 2)), 0.0, -1.0, np.nan])
+def test_stiffness_factors_of_another_shape_or_without_stiffness_are_refused(factors):
+    _, grid, u, p = deformed()
+    with pytest.raises(ValueError, match="stiffness"):
+        body_on(grid, factors).forces(u, p)
 
 
 def test_area_vectors_are_the_gradient_of_the_volume_beneath():
@@ -117,7 +137,7 @@ def test_area_vectors_are_the_gradient_of_the_volume_beneath():
         for sign in (1, -1):
             moved = u.copy()
             moved[index[0], -1, index[1], index[2]] += sign * step
-            volumes.append(forces(grid, moved, p)[1].sum())
+            volumes.append(body_on(grid).forces(moved, p).volume.sum())
         expected[index] = (volumes[0] - volumes[1]) / (2 * step)
     inner = (slice(None), slice(1, -1), slice(1, -1))  # elsewhere the sides belong to it too
     assert_allclose(area_vectors(surface)[inner], expected[inner], atol=1e-9)

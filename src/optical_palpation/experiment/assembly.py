@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from optical_palpation.errors import InputError
-from optical_palpation.experiment.bodies import Body
 from optical_palpation.experiment.contact import ContactState, Sides
 from optical_palpation.experiment.equilibrium import (
     INTERFACE,
@@ -19,6 +18,7 @@ from optical_palpation.experiment.equilibrium import (
 )
 from optical_palpation.experiment.meeting import Interface, Plane
 from optical_palpation.experiment.scene import Scene, map_height, volume_factor
+from optical_palpation.mechanics.body import Body
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ def build(
     count = max(2, round(wanted / coarsening))
     flat = np.zeros((layer_y.size, layer_x.size))
     layer_grid = LayerGrid(layer_x, layer_y, np.linspace(0, 1, count + 1), flat + layer.thickness)
-    bodies_layer = Body(layer_grid, flat, layer.material, np.ones(layer_grid.shape))
+    bodies_layer = Body(layer_grid, layer.material)
 
     x, y = np.meshgrid(sample_x, sample_y)
     height = sum((part.height(x, y) for part in sample.relief), np.zeros_like(x))
@@ -58,9 +58,8 @@ def build(
         )
     depth = _graded(sample.thickness, layer.thickness / count, mesh.growth**coarsening)
     sample_grid = LayerGrid(sample_x, sample_y, depth, plate - top)
-    bodies_sample = Body(
-        sample_grid, top, sample.material, _stiffness(scene, sample_grid, stiffness)
-    )
+    factors = _stiffness(scene, sample_grid, stiffness)
+    bodies_sample = Body(sample_grid, sample.material, factors, top)
 
     number = np.arange(bodies_layer.n_nodes).reshape(layer_grid.node_shape)
     below = number.size + np.arange(bodies_sample.n_nodes).reshape(sample_grid.node_shape)
@@ -96,7 +95,7 @@ def build(
         ),
         sides=Sides(
             number[layer_grid.side_nodes].ravel(),
-            bodies_layer.material.shear_modulus * width,
+            bodies_layer.law.shear_modulus * width,
             element_height,
         ),
         slave_grids=(layer_grid, slave, sample_grid),
@@ -130,10 +129,10 @@ def column_forces(assembly: Assembly) -> tuple[Array, ...]:
     layer, sample = assembly.bodies
     thickness = layer.grid.thickness[0, 0]
     height = np.diff(sample.grid.depth)[:, None, None]
-    nodal = np.pad(1 / sample.stiffness, ((0, 0), (0, 1), (0, 1)), mode="edge")
-    compliance = thickness / layer.material.initial_youngs_modulus
+    nodal = np.pad(1 / sample.factor, ((0, 0), (0, 1), (0, 1)), mode="edge")
+    compliance = thickness / (3 * layer.law.shear_modulus)
     compliance = compliance + sample.grid.thickness * (height * nodal).sum(0) / (
-        sample.material.initial_youngs_modulus
+        3 * sample.law.shear_modulus
     )
     pressure = np.maximum(assembly.compression - (sample.top - thickness), 0.0) / compliance
     on_sample = RegularGridInterpolator(

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from optical_palpation.experiment.bodies import Body, BodyForces
+from optical_palpation.experiment.bodies import condensed_tangent
 from optical_palpation.experiment.contact import (
     ContactState,
     ContactTerms,
@@ -19,6 +19,7 @@ from optical_palpation.experiment.contact import (
 )
 from optical_palpation.experiment.linear import LinearSolver
 from optical_palpation.experiment.meeting import Interface, Meeting, Plane
+from optical_palpation.mechanics.body import Body, ElementForces
 from optical_palpation.mechanics.contact import friction_direction
 from optical_palpation.mechanics.grid import LayerGrid
 
@@ -68,7 +69,7 @@ class Assembly:
     @property
     def shear_modulus(self) -> float:
         """Shear modulus of the layer, kPa, the scale of pressures."""
-        return self.bodies[LAYER].material.shear_modulus
+        return self.bodies[LAYER].law.shear_modulus
 
     @property
     def scales(self) -> list[Array]:
@@ -134,7 +135,7 @@ class Balance:
     ``internal`` (n_nodes, 3) includes the contact of the sides.
     """
 
-    bodies: list[BodyForces]
+    bodies: list[ElementForces]
     terms: list[ContactTerms]
     internal: Array
     force_error: float
@@ -182,7 +183,9 @@ def balance(
         np.add.at(out, term.meeting.nodes, term.residual)
     scale = max(float(np.linalg.norm(np.concatenate(state.forces))), 1e-30)
     violation = np.linalg.norm(np.concatenate([term.violation for term in terms]))
-    volume = np.concatenate([(part.volume_residual / part.volume).ravel() for part in parts])
+    volume = np.concatenate(
+        [(part.volume_residual / part.reference_volume).ravel() for part in parts]
+    )
     return Balance(
         bodies=parts,
         terms=terms,
@@ -202,10 +205,10 @@ def newton_step(
     for body, part, u, p in zip(
         assembly.bodies, now.bodies, assembly.split(state.u), state.p, strict=True
     ):
-        tangent, divergence = body.tangent(u, p)
+        tangent, divergence = condensed_tangent(body, u, p)
         blocks.append(tangent)
         divergences.append(divergence)
-        bulk = body.stiffness * body.material.bulk_modulus / part.volume
+        bulk = body.bulk_modulus / part.reference_volume
         lifted.append(bulk)
         extra = _scatter(divergence, bulk * part.volume_residual)
         start = 0 if body is assembly.bodies[LAYER] else assembly.bodies[LAYER].n_nodes

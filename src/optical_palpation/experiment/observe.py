@@ -155,7 +155,12 @@ def body_dataset(assembly: Assembly, state: State, which: int) -> xr.Dataset:
         "cauchy_stress": variable(
             f"{cells} tensor", np.moveaxis(body.stress(u, p), 0, -1), "kPa", "Cauchy stress"
         ),
-        "stiffness": variable(cells, body.stiffness, "1", "stiffness over that of the law"),
+        "stiffness": variable(
+            cells,
+            np.broadcast_to(body.factor, body.grid.shape),
+            "1",
+            "stiffness over that of the law",
+        ),
     }
     for face, k, contact in (("window", 0, own[0]), ("sample", -1, own[1])):
         traction = force[:, k] / body.grid.surface_areas(position[:, k])

@@ -94,6 +94,11 @@ class MooneyRivlin:
             )
 
     @property
+    def coefficients(self) -> tuple[float, float, float, float]:
+        """Coefficients (c10, c20, c30, c01) of I1bar - 3, its powers, and I2bar - 3, kPa."""
+        return self.c10, 0.0, 0.0, self.c01
+
+    @property
     def shear_modulus(self) -> float:
         """Initial shear modulus 2 (c10 + c01), kPa."""
         return 2.0 * (self.c10 + self.c01)

@@ -1,15 +1,19 @@
 """Element kernels: trilinear displacement, constant pressure (Q1-P0), 2 x 2 x 2 Gauss points.
 
-The layer is a nearly incompressible Mooney-Rivlin solid (section 3 of the paper) in mixed form,
+A body is a nearly incompressible hyperelastic solid (section 3 of the paper) in mixed form,
 
-    W(F, p) = C10 (I1bar - 3) + C01 (I2bar - 3) + p (J - 1) - p^2 / (2 K),
+    W(F, p) = s Wbar(I1bar, I2bar) + p (J - 1) - p^2 / (2 s K),
 
-with the pressure p (tension positive) an independent unknown of each element. Kernels work on
-``L`` elements of one grid row at a time (``lanes``). Rows of elements that share no nodes are
+with the pressure p (tension positive) an independent unknown of each element, s its stiffness
+factor and Wbar the energy of the law in the invariants of the isochoric deformation. Kernels work
+on ``L`` elements of one grid row at a time (``lanes``). Rows of elements that share no nodes are
 computed in parallel.
 
-Displacement-like arrays are ``[component, z, y, x]``; the tangent comes plane by plane of nodes as
-``[y, neighbour, 3 * row + column, x]`` with neighbour = 9 (dz + 1) + 3 (dy + 1) + (dx + 1).
+Wherever kernels take ``factor``, it is an array of the stiffness factors, (nz, ny, nx), or
+(1, 1, 1) where all elements have the same; ``law`` holds the coefficients of the energy, a tuple
+that ``isochoric_stress`` explains. Displacement-like arrays are ``[component, z, y, x]``; the
+tangent comes plane by plane of nodes as ``[y, neighbour, 3 * row + column, x]`` with
+neighbour = 9 (dz + 1) + 3 (dy + 1) + (dx + 1).
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from optical_palpation.parallel import in_parallel
 from .intrinsics import add_lanes
 from .lanes import (
     DET,
+    FACTOR,
     FAST,
     FE,
     GRAD,
@@ -42,6 +47,7 @@ from .lanes import (
     add_volume_gradient,
     elasticity,
     gather,
+    gather_pressure,
     isochoric_stress,
     kinematics,
 )
@@ -67,11 +73,10 @@ def _shape_gradients() -> np.ndarray:
 
 
 GRADIENTS = _shape_gradients()
-GRADIENTS32 = GRADIENTS.astype(np.float32)
 
 
 @nb.njit(cache=True)
-def internal_force(nodes, u, p, c10, c01, dn, force, volume, volume_ref, min_jacobian):
+def internal_force(nodes, u, p, factor, law, dn, force, volume, volume_ref, min_jacobian):
     """Internal nodal force (mN), deformed and reference element volumes (mm^3).
 
     Parameters
@@ -95,13 +100,13 @@ def internal_force(nodes, u, p, c10, c01, dn, force, volume, volume_ref, min_jac
         in_parallel(
             _force_rows,
             rows,
-            (nodes, u, p, c10, c01, dn, force, volume, volume_ref, min_jacobian, k0, j0),
+            (nodes, u, p, factor, law, dn, force, volume, volume_ref, min_jacobian, k0, j0),
         )
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
 def _force_rows(
-    nodes, u, p, c10, c01, dn, force, volume, volume_ref, min_jacobian, k0, j0, begin, end
+    nodes, u, p, factor, law, dn, force, volume, volume_ref, min_jacobian, k0, j0, begin, end
 ):
     """Every second row of elements of every second layer, from (k0, j0): they share no nodes."""
     _, ny, nx = p.shape
@@ -114,20 +119,21 @@ def _force_rows(
             i0 &= LARGEST
             n = min(L, nx - i0)
             gather(nodes, u, k, j, i0, nx, w)
+            gather_pressure(p, factor, k, j, i0, w)
             for l in range(L):
-                w[PRESSURE + l] = p[k, j, min(i0 + l, nx - 1)]
                 w[V1 + l] = 0
                 w[V0 + l] = 0
             w[FE : FE + 24 * L] = 0
             for g in range(8):
                 kinematics(dn[g], w)
-                isochoric_stress(c10, c01, w)
+                isochoric_stress(law, w)
                 for l in range(L):
                     smallest = min(smallest, w[JAC + l])
                 for l in range(L):
                     weight = w[DET + l]
                     w[V0 + l] += weight
                     w[V1 + l] += weight * w[JAC + l]
+                    weight *= w[FACTOR + l]
                     hydrostatic = w[PRESSURE + l] * w[JAC + l]
                     w[TAU + l] = (w[TAU + l] + hydrostatic) * weight
                     w[TAU + L + l] = (w[TAU + L + l] + hydrostatic) * weight
@@ -165,32 +171,33 @@ def _force_rows(
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
-def _tangent_row(nodes, u, p, c10, c01, gamma, dn, k, j, w, below, above, divergence):
+def _tangent_row(nodes, u, p, factor, law, gamma, dn, k, j, w, below, above, divergence):
     """Add one row of elements to the stencils of the node planes below and above it."""
     nx = p.shape[2]
     for i0 in range(0, nx, L):
         i0 &= LARGEST
         n = min(L, nx - i0)
         gather(nodes, u, k, j, i0, nx, w)
+        gather_pressure(p, factor, k, j, i0, w)
         for l in range(L):
-            w[PRESSURE + l] = p[k, j, min(i0 + l, nx - 1)]
             w[V0 + l] = 0
         w[KE:] = 0
         w[FE : FE + 24 * L] = 0
         for g in range(8):
             kinematics(dn[g], w)
-            isochoric_stress(c10, c01, w)
-            elasticity(c01, w)
+            isochoric_stress(law, w)
+            elasticity(law, w)
             for l in range(L):
                 w[V0 + l] += w[DET + l]
                 pj = w[PRESSURE + l] * w[JAC + l]
-                w[TAU + l] = (w[TAU + l] + pj) * w[DET + l]
-                w[TAU + L + l] = (w[TAU + L + l] + pj) * w[DET + l]
-                w[TAU + 2 * L + l] = (w[TAU + 2 * L + l] + pj) * w[DET + l]
-                w[TAU + 3 * L + l] *= w[DET + l]
-                w[TAU + 4 * L + l] *= w[DET + l]
-                w[TAU + 5 * L + l] *= w[DET + l]
                 w[JAC + l] *= w[DET + l]
+                weight = w[DET + l] * w[FACTOR + l]
+                w[TAU + l] = (w[TAU + l] + pj) * weight
+                w[TAU + L + l] = (w[TAU + L + l] + pj) * weight
+                w[TAU + 2 * L + l] = (w[TAU + 2 * L + l] + pj) * weight
+                w[TAU + 3 * L + l] *= weight
+                w[TAU + 4 * L + l] *= weight
+                w[TAU + 5 * L + l] *= weight
             add_volume_gradient(w)
             add_stiffness(w)
         add_penalty(gamma, w)
@@ -219,21 +226,22 @@ def _tangent_row(nodes, u, p, c10, c01, gamma, dn, k, j, w, below, above, diverg
 
 
 @nb.njit(cache=True)
-def _tangent_layer(nodes, u, p, c10, c01, gamma, dn, k, below, above, divergence):
+def _tangent_layer(nodes, u, p, factor, law, gamma, dn, k, below, above, divergence):
     """Add the element layer k to the stencils of the node planes k and k + 1, the latter new."""
-    material = (below.dtype.type(c10), below.dtype.type(c01), below.dtype.type(gamma))
     # Strips of element rows, the even ones first: neighbouring strips share a row of nodes.
     strips = (p.shape[1] + _STRIP - 1) // _STRIP
     for odd in range(2):
         in_parallel(
             _tangent_strips,
             (strips + 1 - odd) // 2,
-            (nodes, u, p, *material, dn, k, odd, below, above, divergence),
+            (nodes, u, p, factor, law, gamma, dn, k, odd, below, above, divergence),
         )
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
-def _tangent_strips(nodes, u, p, c10, c01, gamma, dn, k, odd, below, above, divergence, begin, end):
+def _tangent_strips(
+    nodes, u, p, factor, law, gamma, dn, k, odd, below, above, divergence, begin, end
+):
     ny = p.shape[1]
     for pair in range(begin, end):
         w = np.empty(ROWS * L, below.dtype)
@@ -244,23 +252,23 @@ def _tangent_strips(nodes, u, p, c10, c01, gamma, dn, k, odd, below, above, dive
             if k == 0:
                 below[j] = 0
         for j in range(first, last):
-            _tangent_row(nodes, u, p, c10, c01, gamma, dn, k, j, w, below, above, divergence)
+            _tangent_row(nodes, u, p, factor, law, gamma, dn, k, j, w, below, above, divergence)
 
 
 def tangent_planes(
     nodes: NDArray[np.float64],
     u: NDArray[np.float64],
     p: NDArray[np.float64],
-    c10: float,
-    c01: float,
+    factor: NDArray[np.float64],
+    law: tuple[float, ...],
     gamma: float,
     divergence: NDArray[np.floating],
 ) -> Iterator[NDArray[np.floating]]:
-    """Tangent stiffness as a 27-point block stencil, with the penalty gamma / V b b^T.
+    """Tangent stiffness as a 27-point block stencil, with the penalty s gamma / V b b^T.
 
-    b = dv/du is the gradient of an element's deformed volume. With gamma equal to the bulk modulus
-    this is the tangent with the pressure condensed; with a smaller one it is the
-    augmented-Lagrangian displacement block.
+    b = dv/du is the gradient of an element's deformed volume, s its stiffness factor. With gamma
+    equal to the bulk modulus this is the tangent with the pressure condensed; with a smaller one it
+    is the augmented-Lagrangian displacement block.
 
     Parameters
     ----------
@@ -275,28 +283,32 @@ def tangent_planes(
         filled up with zeros to whole lanes. Each is overwritten when the next but one is made.
     """
     nz1, ny1, nx1 = u.shape[1:]
-    dn = GRADIENTS if divergence.dtype == np.float64 else GRADIENTS32
+    real = divergence.dtype.type
+    dn = GRADIENTS.astype(real)
+    coefficients = tuple(real(c) for c in law)
     shape = (ny1, 27, 9, padded(nx1))
     below, above = np.zeros(shape, divergence.dtype), np.zeros(shape, divergence.dtype)
     for k in range(nz1 - 1):
-        _tangent_layer(nodes, u, p, c10, c01, gamma, dn, k, below, above, divergence)
+        _tangent_layer(
+            nodes, u, p, factor, coefficients, real(gamma), dn, k, below, above, divergence
+        )
         yield below
         below, above = above, below
     yield below
 
 
 @nb.njit(cache=True)
-def element_stress(nodes, u, p, c10, c01, dn, stress):
+def element_stress(nodes, u, p, factor, law, dn, stress):
     """Volume-averaged Cauchy stress of each element, shape (6, nz, ny, nx), kPa.
 
     Components xx, yy, zz, yz, xz, xy; the average is over the deformed volume.
     """
     nz, ny, _ = p.shape
-    in_parallel(_stress_rows, nz * ny, (nodes, u, p, c10, c01, dn, stress))
+    in_parallel(_stress_rows, nz * ny, (nodes, u, p, factor, law, dn, stress))
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
-def _stress_rows(nodes, u, p, c10, c01, dn, stress, begin, end):
+def _stress_rows(nodes, u, p, factor, law, dn, stress, begin, end):
     _, ny, nx = p.shape
     for row in range(begin, end):
         k, j = row // ny, row % ny
@@ -305,11 +317,12 @@ def _stress_rows(nodes, u, p, c10, c01, dn, stress, begin, end):
             i0 &= LARGEST
             n = min(L, nx - i0)
             gather(nodes, u, k, j, i0, nx, w)
+            gather_pressure(p, factor, k, j, i0, w)
             w[KE : KE + 6 * L] = 0
             w[V1 : V1 + L] = 0
             for g in range(8):
                 kinematics(dn[g], w)
-                isochoric_stress(c10, c01, w)
+                isochoric_stress(law, w)
                 for l in range(L):
                     w[V1 + l] += w[DET + l] * w[JAC + l]
                 for c in range(6):
@@ -318,4 +331,5 @@ def _stress_rows(nodes, u, p, c10, c01, dn, stress, begin, end):
             for c in range(6):
                 for l in range(n):
                     hydrostatic = p[k, j, i0 + l] if c < 3 else 0.0
-                    stress[c, k, j, i0 + l] = w[KE + c * L + l] / w[V1 + l] + hydrostatic
+                    isochoric = w[FACTOR + l] * w[KE + c * L + l] / w[V1 + l]
+                    stress[c, k, j, i0 + l] = isochoric + hydrostatic

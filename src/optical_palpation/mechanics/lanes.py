@@ -17,9 +17,9 @@ L = 16
 # b = F F^T, stress, scalars, nodal forces or volume gradients, elasticity, its products with a
 # gradient, stiffness blocks.
 REF, CUR, GRAD, B, TAU = 0, 24 * L, 48 * L, 72 * L, 78 * L
-TRACE, DET, JAC, PRESSURE, V0, V1 = (n * L for n in range(84, 90))
-FE, CC, HALF, GEO, KE = 90 * L, 114 * L, 135 * L, 153 * L, 156 * L
-ROWS = 156 + 64 * 9
+TRACE, DET, JAC, PRESSURE, FACTOR, V0, V1 = (n * L for n in range(84, 91))
+FE, CC, HALF, GEO, KE = 91 * L, 115 * L, 136 * L, 154 * L, 157 * L
+ROWS = 157 + 64 * 9
 # Masking an index with this does not change it and proves to the compiler that it is not negative:
 # negative indices count from the end, and testing for them forbids vector instructions.
 LARGEST = 0x7FFFFFFF
@@ -43,6 +43,22 @@ def gather(nodes, u, k, j, i0, nx, w):
                 x = there[i + di] - here[i]
                 w[REF + (3 * a + c) * L + l] = x
                 w[CUR + (3 * a + c) * L + l] = x + (moved[i + di] - origin[i])
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
+def gather_pressure(p, factor, k, j, i0, w):
+    """Stiffness factors of the lanes' elements, and the pressures divided by them.
+
+    Of the pressure, too, the element is then a multiple: all of it but the volumes is multiplied by
+    the factor. ``factor`` has one entry for each element, or one for all.
+    """
+    along = factor[min(k, factor.shape[0] - 1), min(j, factor.shape[1] - 1)]
+    last, end = p.shape[2] - 1, along.shape[0] - 1
+    for l in range(L):
+        i = min(i0 + l, last) & LARGEST
+        f = along[min(i, end) & LARGEST]
+        w[FACTOR + l] = f
+        w[PRESSURE + l] = p[k, j, i] / f
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
@@ -138,14 +154,18 @@ def kinematics(dn, w):
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
-def isochoric_stress(c10, c01, w):
+def isochoric_stress(law, w):
     """Isochoric Kirchhoff stress tau (xx yy zz yz xz xy); b becomes b bar = J^(-2/3) b.
 
-    ``trace_bar`` receives the trace of the stress before its deviator is taken, as the tangent
-    needs it.
+    ``law`` holds the coefficients (c10, c20, c30, c01) of the energy
+    W = c10 x + c20 x^2 + c30 x^3 + c01 y with x = I1bar - 3 and y = I2bar - 3, so that
+    tau is the deviator of 2 (dW/dI1 + I1bar dW/dI2) bbar - 2 dW/dI2 bbar^2. ``TRACE`` receives the
+    trace before the deviator is taken, as the tangent needs it.
     """
     real = w.dtype.type
-    one, two, third = real(1), real(2), real(1 / 3)
+    one, two, three, third = real(1), real(2), real(3), real(1 / 3)
+    c10, c20, c30, c01 = law
+    linear, quadratic = two * c20, three * c30
     second, cubic = real(2 / 9), real(14 / 81)
     for l in range(L):
         # inverted elements are found by the caller; here they must only not raise
@@ -165,39 +185,43 @@ def isochoric_stress(c10, c01, w):
         b0, b1, b2 = w[B + l] * s, w[B + L + l] * s, w[B + 2 * L + l] * s
         b3, b4, b5 = w[B + 3 * L + l] * s, w[B + 4 * L + l] * s, w[B + 5 * L + l] * s
         i1 = b0 + b1 + b2
+        x = i1 - three
+        slope = c10 + x * (linear + x * quadratic)
         q0 = b0 * b0 + b5 * b5 + b4 * b4
         q1 = b5 * b5 + b1 * b1 + b3 * b3
         q2 = b4 * b4 + b3 * b3 + b2 * b2
         q3 = b5 * b4 + b1 * b3 + b3 * b2
         q4 = b0 * b4 + b5 * b3 + b4 * b2
         q5 = b0 * b5 + b5 * b1 + b4 * b3
-        t0 = two * (c10 * b0 + c01 * (i1 * b0 - q0))
-        t1 = two * (c10 * b1 + c01 * (i1 * b1 - q1))
-        t2 = two * (c10 * b2 + c01 * (i1 * b2 - q2))
+        t0 = two * (slope * b0 + c01 * (i1 * b0 - q0))
+        t1 = two * (slope * b1 + c01 * (i1 * b1 - q1))
+        t2 = two * (slope * b2 + c01 * (i1 * b2 - q2))
         trace = t0 + t1 + t2
         mean = trace * third
         w[TAU + l] = t0 - mean
         w[TAU + L + l] = t1 - mean
         w[TAU + 2 * L + l] = t2 - mean
-        w[TAU + 3 * L + l] = two * (c10 * b3 + c01 * (i1 * b3 - q3))
-        w[TAU + 4 * L + l] = two * (c10 * b4 + c01 * (i1 * b4 - q4))
-        w[TAU + 5 * L + l] = two * (c10 * b5 + c01 * (i1 * b5 - q5))
+        w[TAU + 3 * L + l] = two * (slope * b3 + c01 * (i1 * b3 - q3))
+        w[TAU + 4 * L + l] = two * (slope * b4 + c01 * (i1 * b4 - q4))
+        w[TAU + 5 * L + l] = two * (slope * b5 + c01 * (i1 * b5 - q5))
         w[TRACE + l] = trace
         w[B + l], w[B + L + l], w[B + 2 * L + l] = b0, b1, b2
         w[B + 3 * L + l], w[B + 4 * L + l], w[B + 5 * L + l] = b3, b4, b5
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
-def elasticity(c01, w):
-    """Spatial elasticity tensor times the Gauss weight, 6 x 6 Voigt, from b bar and tau.
+def elasticity(law, w):
+    """Spatial elasticity tensor times Gauss weight and factor, 6 x 6 Voigt, from b bar and tau.
 
     c = P : cbar : P + 2/3 tr(taubar) P - 2/3 (I x tau + tau x I) + p J (I x I - 2 II), with
-    cbar = 4 C01 (bbar x bbar - bbar (.) bbar) and P the deviatoric projector.
+    cbar = 4 dW/dI2 (bbar x bbar - bbar (.) bbar) + 4 d2W/dI1^2 bbar x bbar and P the deviatoric
+    projector.
     """
     real = w.dtype.type
+    _, c20, c30, c01 = law
     two, four, third, inhalf = real(2), real(4), real(1 / 3), real(0.5)
     for l in range(L):
-        weight = w[DET + l]
+        weight = w[DET + l] * w[FACTOR + l]
         b0, b1, b2, b3, b4, b5 = (
             w[B + l],
             w[B + L + l],
@@ -263,6 +287,44 @@ def elasticity(c01, w):
         w[CC + 18 * L + l] = weight * (m44 + inhalf * shear - pj)
         w[CC + 19 * L + l] = weight * m45
         w[CC + 20 * L + l] = weight * (m55 + inhalf * shear - pj)
+    if c20 != 0 or c30 != 0:
+        add_curvature(c20, c30, w)
+
+
+@nb.njit(fastmath=FAST, error_model="numpy")
+def add_curvature(c20, c30, w):
+    """Add 4 d2W/dI1^2 dev bbar x dev bbar to the elasticity tensor."""
+    real = w.dtype.type
+    three, third, eight, slope = real(3), real(1 / 3), real(8) * c20, real(24) * c30
+    for l in range(L):
+        b0, b1, b2 = w[B + l], w[B + L + l], w[B + 2 * L + l]
+        d3, d4, d5 = w[B + 3 * L + l], w[B + 4 * L + l], w[B + 5 * L + l]
+        i1 = b0 + b1 + b2
+        mean = i1 * third
+        d0, d1, d2 = b0 - mean, b1 - mean, b2 - mean
+        s = w[DET + l] * w[FACTOR + l] * (eight + slope * (i1 - three))
+        s0, s1, s2, s3, s4, s5 = s * d0, s * d1, s * d2, s * d3, s * d4, s * d5
+        w[CC + l] += s0 * d0
+        w[CC + L + l] += s0 * d1
+        w[CC + 2 * L + l] += s0 * d2
+        w[CC + 3 * L + l] += s0 * d3
+        w[CC + 4 * L + l] += s0 * d4
+        w[CC + 5 * L + l] += s0 * d5
+        w[CC + 6 * L + l] += s1 * d1
+        w[CC + 7 * L + l] += s1 * d2
+        w[CC + 8 * L + l] += s1 * d3
+        w[CC + 9 * L + l] += s1 * d4
+        w[CC + 10 * L + l] += s1 * d5
+        w[CC + 11 * L + l] += s2 * d2
+        w[CC + 12 * L + l] += s2 * d3
+        w[CC + 13 * L + l] += s2 * d4
+        w[CC + 14 * L + l] += s2 * d5
+        w[CC + 15 * L + l] += s3 * d3
+        w[CC + 16 * L + l] += s3 * d4
+        w[CC + 17 * L + l] += s3 * d5
+        w[CC + 18 * L + l] += s4 * d4
+        w[CC + 19 * L + l] += s4 * d5
+        w[CC + 20 * L + l] += s5 * d5
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
@@ -391,10 +453,13 @@ def add_volume_gradient(w):
 
 @nb.njit(fastmath=FAST, error_model="numpy")
 def add_penalty(penalty, w):
-    """Add penalty / V times the volume gradient twice to the node blocks 8 a + b <= a."""
+    """Add s penalty / V times the volume gradient twice to the node blocks 8 a + b <= a.
+
+    s is the stiffness factor.
+    """
     for b in range(8):
         for l in range(L):
-            s = penalty / w[V0 + l]
+            s = penalty * w[FACTOR + l] / w[V0 + l]
             w[HALF + l] = s * w[FE + 3 * b * L + l]
             w[HALF + L + l] = s * w[FE + (3 * b + 1) * L + l]
             w[HALF + 2 * L + l] = s * w[FE + (3 * b + 2) * L + l]

@@ -16,7 +16,6 @@ from .contact import (
     linearise,
     slip_coordinate,
 )
-from .elements import GRADIENTS, internal_force
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .stencil import threads_for
 from .system import NewtonSystem, assemble
@@ -142,22 +141,8 @@ class NotConverged(Exception):
 
 def balance(problem: LayerProblem, state: LayerState, direction: Array | None = None) -> Balance:
     """Evaluate equilibrium, incompressibility and contact at a state (see ``linearise``)."""
-    grid = problem.grid
-    force = np.empty(state.u.shape)
-    volume, volume_ref = np.empty(grid.shape), np.empty(grid.shape)
-    jacobian = np.empty(grid.shape[:2])
-    internal_force(
-        grid.nodes,
-        state.u,
-        state.p,
-        problem.c10,
-        problem.c01,
-        GRADIENTS,
-        force,
-        volume,
-        volume_ref,
-        jacobian,
-    )
+    body = problem.body.forces(state.u, state.p)
+    force, volume, volume_ref = body.force, body.volume, body.reference_volume
     contact = linearise(problem, state, force, direction)
     out = force.copy()
     for face, k, sign in ((WINDOW, 0, -1.0), (SAMPLE, -1, 1.0)):
@@ -175,12 +160,10 @@ def balance(problem: LayerProblem, state: LayerState, direction: Array | None = 
         volume=volume,
         volume_ref=volume_ref,
         contact=contact,
-        min_jacobian=float(jacobian.min()),
+        min_jacobian=body.min_jacobian,
         imbalance=imbalance,
         force_error=imbalance / max(float(np.linalg.norm(state.normal_force)), 1e-30),
-        volume_error=float(
-            np.sqrt(np.mean((volume / volume_ref - 1 - state.p / problem.bulk_modulus) ** 2))
-        ),
+        volume_error=float(np.sqrt(np.mean((body.volume_residual / volume_ref) ** 2))),
     )
 
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from optical_palpation.material import MooneyRivlin
+
+from .body import Body
 from .grid import LayerGrid
 from .imprint import Imprint
 
@@ -54,6 +58,12 @@ class LayerProblem:
     def shear_modulus(self) -> float:
         """Initial shear modulus mu = 2 (C10 + C01), kPa."""
         return 2 * (self.c10 + self.c01)
+
+    @cached_property
+    def body(self) -> Body:
+        """The layer's elements."""
+        ratio = self.bulk_modulus / self.shear_modulus
+        return Body(self.grid, MooneyRivlin(self.c10, self.c01, ratio))
 
     def on_grid(self, grid: LayerGrid, imprint: Imprint | None = None) -> LayerProblem:
         """Return the same problem on another grid."""

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from optical_palpation.parallel import in_parallel
 
 from .contact import ContactLinearisation
-from .elements import tangent_planes
 from .lanes import FAST
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .stencil import constrain
@@ -141,9 +140,7 @@ def assemble(
     # A trace of lateral stiffness in the tangent alone takes the rigid motions out of a layer
     # that nothing holds sideways; it does not enter the residual.
     hold = 1e-6 * problem.shear_modulus * grid.spacing[0]
-    planes = tangent_planes(
-        grid.nodes, state.u, state.p, problem.c10, problem.c01, solver.gamma, divergence
-    )
+    planes = problem.body.tangent_planes(state.u, state.p, solver.gamma, divergence)
     for k, plane in enumerate(planes):
         diagonal = plane[:, 13, :, :nx1]
         if damping > 0:

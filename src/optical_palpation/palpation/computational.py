@@ -19,7 +19,6 @@ from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
 from optical_palpation.mechanics.contact import area_vectors, friction_fraction, side_contact
-from optical_palpation.mechanics.elements import GRADIENTS, element_stress
 from optical_palpation.mechanics.grid import (
     RIM,
     LayerGrid,
@@ -380,8 +379,7 @@ def _layer(solution: Solution) -> tuple[xr.Dataset, dict[str, Array]]:
     grid = problem.grid
     position = grid.nodes + state.u
     force = balance(problem, state).force
-    stress = np.empty((6, *grid.shape))
-    element_stress(grid.nodes, state.u, state.p, problem.c10, problem.c01, GRADIENTS, stress)
+    stress = problem.body.stress(state.u, state.p)
     touching = state.touching(problem)
     share = friction_fraction(problem, state)
     contact = np.where(share < SLIP_SHARE, ContactState.STICK, ContactState.SLIP)
