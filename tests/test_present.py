@@ -28,7 +28,9 @@ from optical_palpation.present import (
     write_result,
     write_vtk,
 )
+from optical_palpation.present.figure import new_figure
 from optical_palpation.present.output import atomic, check_writable
+from optical_palpation.present.panel import draw_panel
 
 X = np.linspace(0, 5, 11)
 Y = np.linspace(-1, 3, 9)
@@ -281,24 +283,24 @@ def test_panel_is_drawn(tmp_path, build, suffix):
 
 
 def test_both_methods_share_one_colour_scale():
-    from optical_palpation.present.panel import _draw
-
-    shown = {a.get_title(): a for a in _draw(example()).axes if a.collections}
+    with new_figure() as figure:
+        draw_panel(example().maps, figure)
+    shown = {a.get_title(loc="left"): a for a in figure.axes if a.get_title(loc="left")}
     stress = [a.collections[0] for title, a in shown.items() if "stress" in title]
     assert len(stress) == 2
     assert stress[0].get_clim() == stress[1].get_clim()
-    axes = shown["Loaded thickness (mm)"]
+    axes = next(a for title, a in shown.items() if "Loaded thickness (mm)" in title)
     assert axes.get_aspect() == 1
     # Pixels are areas around their centres.
     np.testing.assert_allclose([*axes.get_xlim(), *axes.get_ylim()], [-0.25, 5.25, -1.25, 3.25])
 
 
 def test_only_the_layer_is_shown_of_a_map_that_reaches_beyond_it():
-    from optical_palpation.present.panel import _draw
-
     result = example()
     result.maps["loaded_thickness"].attrs["layer_extent"] = [1.0, 5.0, -1.0, 2.0]
-    axes = next(a for a in _draw(result).axes if "Loaded" in a.get_title())
+    with new_figure() as figure:
+        draw_panel(result.maps, figure)
+    axes = next(a for a in figure.axes if "Loaded" in a.get_title(loc="left"))
     np.testing.assert_allclose([*axes.get_xlim(), *axes.get_ylim()], [0.75, 5.25, -1.25, 2.25])
     along_x, along_y = centre_profiles(result.maps)
     assert float(along_y["x"]) == 3.0

@@ -2,6 +2,7 @@
 
 from optical_palpation.present.boundaries_figure import write_boundaries_figure
 from optical_palpation.present.deck import write_deck
+from optical_palpation.present.figure import write_maps
 from optical_palpation.present.netcdf import read_result, write_result
 from optical_palpation.present.output import check_outputs
 from optical_palpation.present.panel import write_panel
@@ -17,6 +18,7 @@ __all__ = [
     "summarise",
     "write_boundaries_figure",
     "write_deck",
+    "write_maps",
     "write_panel",
     "write_profiles",
     "write_report",

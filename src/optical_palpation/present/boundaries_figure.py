@@ -9,12 +9,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from optical_palpation.present.output import atomic
+from optical_palpation.present.figure import figure_file, letter
 from optical_palpation.thickness.intensity import intensity_reader
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import ListedColormap
+    from matplotlib.figure import Figure
 
     from optical_palpation.volume import Volume
 
@@ -33,11 +34,11 @@ def write_boundaries_figure(found: xr.Dataset, volume: Volume, path: str | Path)
     OutputError
         The file cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    with figure_file(path, "double", 130.0) as figure:
+        _draw(figure, found, volume)
 
-    figure = Figure(figsize=(12.5, 9), layout="constrained")
-    FigureCanvasAgg(figure)
+
+def _draw(figure: Figure, found: xr.Dataset, volume: Volume) -> None:
     (left, right), (middle, worst) = figure.subplots(2, 2)
     rows = {"middle B-scan": found.sizes["y"] // 2}
     rows["B-scan of the lowest quality"] = int(np.argmin(found["quality"].mean("x").values))
@@ -53,16 +54,17 @@ def write_boundaries_figure(found: xr.Dataset, volume: Volume, path: str | Path)
         else:
             axes.plot(found["x"], found[name][0])
             axes.set(xlabel="x (mm)")
-        axes.set_title(title)
+        axes.set_title(title, loc="left")
     read = intensity_reader(volume, volume.metadata.scale)
     for axes, (name, y), style in zip((middle, worst), rows.items(), _STYLES, strict=True):
         _bscan(axes, found.isel(y=y), read(y), volume)
         line = "dashed" if style == "--" else "dotted"
-        axes.set_title(f"{name[0].upper()}{name[1:]} ({line}), y = {float(found['y'][y]):.4g} mm")
+        axes.set_title(
+            f"{name[0].upper()}{name[1:]} ({line}), y = {float(found['y'][y]):.4g} mm", loc="left"
+        )
     handles, labels = middle.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
-    with atomic(path, "picture") as temporary:
-        figure.savefig(temporary, dpi=130)
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    letter([left, right, middle, worst])
 
 
 def _map(axes: Axes, found: xr.Dataset, name: str) -> None:

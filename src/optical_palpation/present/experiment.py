@@ -10,16 +10,18 @@ import xarray as xr
 
 from optical_palpation.experiment.virtual import ExperimentResult
 from optical_palpation.palpation.result import StressResult
+from optical_palpation.present.figure import draw_map, figure_file, letter
 from optical_palpation.present.netcdf import _NODE_AXES, _compression, _described
 from optical_palpation.present.output import atomic, provenance
 from optical_palpation.present.profiles import centre_profiles
+from optical_palpation.present.terms import ALGEBRAIC, COMPUTATIONAL, STRESS, Term, term
 from optical_palpation.present.vtk import write_vtk
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLOURS = {"true": "black", "algebraic": "#D55E00", "computational": "#0072B2"}
+_COLOURS = {"true": "black", "algebraic": ALGEBRAIC, "computational": COMPUTATIONAL}
 
 
 def write_experiment(result: ExperimentResult, path: str | Path) -> None:
@@ -72,29 +74,17 @@ def write_experiment_figure(
     OutputError
         The file cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    with figure_file(path, "double", 105.0, result.maps) as figure:
+        _draw(figure, result, recovered)
 
-    figure = Figure(figsize=(13.5, 8.0), layout="constrained")
-    FigureCanvasAgg(figure)
+
+def _draw(figure: Figure, result: ExperimentResult, recovered: StressResult | None) -> None:
     axes = figure.subplot_mosaic([list("SSSTTAA"), list("XXXXYYY")])
     _draw_section(figure, axes["S"], result)
     maps = result.maps
-    low, high = np.nanpercentile(maps["axial_stress"].values, [1, 99])
-    for name, field, title, colours in (
-        ("T", "loaded_thickness", "Loaded thickness (mm)", {"cmap": "cividis"}),
-        (
-            "A",
-            "axial_stress",
-            "True axial stress (kPa)",
-            {"cmap": "viridis_r", "vmin": low, "vmax": high},
-        ),
-    ):
-        mesh = axes[name].pcolormesh(
-            maps["x"], maps["y"], maps[field], shading="nearest", rasterized=True, **colours
-        )
-        axes[name].set(title=title, xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
-        figure.colorbar(mesh, ax=axes[name], shrink=0.7)
+    truth = Term("True axial stress", "kPa", STRESS, "stress")
+    draw_map(axes["T"], maps["loaded_thickness"], term(maps, "loaded_thickness"))
+    draw_map(axes["A"], maps["axial_stress"], truth)
     source = result.maps if recovered is None else recovered.maps
     along: dict[str, Any] = {"true": (maps, "axial_stress")}
     along["algebraic"] = (source, "algebraic_axial_stress")
@@ -104,19 +94,14 @@ def write_experiment_figure(
         panel = axes[axis.upper()]
         for label, (dataset, name) in along.items():
             profile = centre_profiles(dataset)[n]
-            panel.plot(profile[axis], profile[name], color=_COLOURS[label], lw=1.4, label=label)
-        panel.set(title=f"Through the centre along {axis}", xlabel=f"{axis} (mm)")
-        panel.grid(alpha=0.3)
+            panel.plot(profile[axis], profile[name], color=_COLOURS[label], label=label)
+        panel.set_title(f"Through the centre along {axis}", loc="left")
+        panel.set_xlabel(f"{axis} (mm)")
+        panel.grid()
     axes["Y"].sharey(axes["X"])
     axes["X"].set_ylabel("axial stress (kPa)")
-    axes["X"].legend(frameon=False, ncols=3)
-    title = result.scene.title or "Virtual experiment"
-    figure.suptitle(f"{title}: window force {maps.attrs['window_force_mN']:.1f} mN")
-    about = "; ".join(f"{key} {value}" for key, value in provenance(result.maps).items())
-    with atomic(path, "picture") as temporary:
-        kind = temporary.suffix.lower()
-        key = {".png": "Description", ".pdf": "Subject", ".svg": "Description"}[kind]
-        figure.savefig(temporary, dpi=150, metadata={key: about})
+    axes["X"].legend(ncols=3)
+    letter([axes[place] for place in "STAXY"])
 
 
 def _draw_section(figure: Figure, axes: Axes, result: ExperimentResult) -> None:
@@ -134,7 +119,7 @@ def _draw_section(figure: Figure, axes: Axes, result: ExperimentResult) -> None:
             nodes[..., 0],
             nodes[..., 2],
             stress,
-            cmap="viridis_r",
+            cmap=STRESS,
             vmin=low,
             vmax=high,
             edgecolors="white",
@@ -145,6 +130,7 @@ def _draw_section(figure: Figure, axes: Axes, result: ExperimentResult) -> None:
     ]
     axes.plot(section[1][0, :, 0], section[1][0, :, 2], color="black", lw=0.8)
     axes.invert_yaxis()
-    axes.set(title="Loaded layer and sample, axial stress (kPa)", xlabel="x (mm)", ylabel="z (mm)")
+    axes.set_title("Loaded layer and sample, axial stress (kPa)", loc="left")
+    axes.set(xlabel="x (mm)", ylabel="z (mm)")
     axes.set_aspect("equal")
-    figure.colorbar(meshes[0], ax=axes, shrink=0.7)
+    figure.colorbar(meshes[0], ax=axes, fraction=0.05)

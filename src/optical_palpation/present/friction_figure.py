@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from optical_palpation.friction.estimate import FrictionEstimate
-from optical_palpation.present.output import atomic
+from optical_palpation.present.figure import colour_map, figure_file
+from optical_palpation.present.terms import ALGEBRAIC
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def write_friction_figure(
@@ -32,19 +36,18 @@ def write_friction_figure(
     OutputError
         The file cannot be written.
     """
-    from matplotlib import colormaps
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    with figure_file(path, 120.0, 95.0 if estimate is None else 120.0) as figure:
+        _draw(figure, calibration, estimate)
 
-    figure = Figure(figsize=(6.4, 5.2 if estimate is None else 6.6), layout="constrained")
-    FigureCanvasAgg(figure)
+
+def _draw(figure: Figure, calibration: xr.DataArray, estimate: FrictionEstimate | None) -> None:
     if estimate is None:
         top, bottom = figure.subplots(), None
     else:
         top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     friction = calibration["friction"].values
     # The palest end of the map would not show on white.
-    shades = colormaps["viridis_r"](np.linspace(0.15, 1.0, friction.size))
+    shades = colour_map("viridis_r")(np.linspace(0.15, 1.0, friction.size))
     for mu, shade in zip(friction, shades, strict=True):
         curve = calibration.sel(friction=mu)
         top.plot(curve["depth"], curve, color=shade, lw=1.2, label=f"friction {mu:.3g}")
@@ -53,7 +56,7 @@ def write_friction_figure(
         profile = estimate.profile
         deviation = profile["measured"] - profile["fitted"]
         error = profile.get("standard_error")
-        marks: dict[str, Any] = {"color": "#D55E00", "fmt": ".", "ms": 3, "elinewidth": 0.6}
+        marks: dict[str, Any] = {"color": ALGEBRAIC, "fmt": ".", "ms": 3, "elinewidth": 0.6}
         low, high = estimate.interval
         bound = ", at the limit of the calibration" if estimate.at_limit else ""
         top.errorbar(profile["depth"], profile["measured"], yerr=error, label="measured", **marks)
@@ -67,10 +70,8 @@ def write_friction_figure(
         bottom.errorbar(profile["depth"], deviation, yerr=error, **marks)
         bottom.axhline(0.0, color="0.5", lw=0.8)
         bottom.set(ylabel="measured − fit")
-        bottom.grid(alpha=0.3)
+        bottom.grid()
     top.set(ylabel="incremental displacement / that at the sample", xlim=(0, 1))
     (top if bottom is None else bottom).set(xlabel="depth in the layer (0: window, 1: sample)")
-    top.grid(alpha=0.3)
-    top.legend(frameon=False, fontsize=8)
-    with atomic(path, "picture") as temporary:
-        figure.savefig(temporary, dpi=150)
+    top.grid()
+    top.legend()

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from optical_palpation.material.contact import Contact
 from optical_palpation.material.fitting import UniaxialFit
 from optical_palpation.material.uniaxial import UniaxialTest
-from optical_palpation.present.output import atomic
+from optical_palpation.present.figure import figure_file
+from optical_palpation.present.terms import PALETTE
 
-# Okabe and Ito's palette, told apart by all kinds of colour vision.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def write_material_figure(
@@ -43,16 +45,21 @@ def write_material_figure(
     OutputError
         The file cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    with figure_file(path, 140.0, 140.0) as figure:
+        _draw(figure, fits, recorded, contact)
 
+
+def _draw(
+    figure: Figure,
+    fits: Sequence[UniaxialFit],
+    recorded: UniaxialTest | None,
+    contact: Contact | None,
+) -> None:
     test = fits[0].test
-    figure = Figure(figsize=(7.2, 7.4), layout="constrained")
-    FigureCanvasAgg(figure)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     if recorded is not None:
-        top.plot(100 * recorded.strain, recorded.stress, ".", color="0.75", ms=4, label="recorded")
-    top.plot(100 * test.strain, test.stress, ".", color="black", ms=4, label="fitted points")
+        top.plot(100 * recorded.strain, recorded.stress, ".", color="0.75", ms=3, label="recorded")
+    top.plot(100 * test.strain, test.stress, ".", color="black", ms=3, label="fitted points")
     if contact is not None:
         for at, style, label in (
             (contact.strain, "-", "contact, as recorded"),
@@ -62,25 +69,23 @@ def write_material_figure(
 
     low, high = min(test.strain.min(), 0.0), max(test.strain.max(), 0.0)
     strain = np.linspace(low, high, 400)
-    for fit, colour in zip(fits, _COLOURS, strict=False):
+    for fit, colour in zip(fits, PALETTE, strict=False):
         stress = fit.stress(strain)
         lowest = max(limits[0] for limits in fit.stable_stretches.values())
         highest = min(limits[1] for limits in fit.stable_stretches.values())
         stable = (1 + strain >= lowest) & (1 + strain <= highest)
         label = f"{fit.law}: {_describe(fit)}"
-        top.plot(100 * strain, np.where(stable, stress, np.nan), color=colour, lw=1.5, label=label)
+        top.plot(100 * strain, np.where(stable, stress, np.nan), color=colour, label=label)
         if not stable.all():
             top.plot(100 * strain, stress, color=colour, lw=1.0, ls=":")
         bottom.plot(100 * test.strain, test.stress - fit.stress(test.strain), color=colour, lw=1.0)
     top.set(ylabel=f"{test.measure} stress (kPa)")
     figure.suptitle(test.source)
-    figure.legend(frameon=False, fontsize=8, loc="outside lower center")
+    figure.legend(loc="outside lower center")
     bottom.axhline(0.0, color="0.6", lw=0.8)
     bottom.set(xlabel="engineering strain (%)", ylabel="measured − fit (kPa)")
     for axes in (top, bottom):
-        axes.grid(alpha=0.3)
-    with atomic(path, "picture") as temporary:
-        figure.savefig(temporary, dpi=150)
+        axes.grid()
 
 
 def _describe(fit: UniaxialFit) -> str:

@@ -1,0 +1,411 @@
+"""The one way in which figures are made: sizes and type of journals, maps, scale bars, letters."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.analysis import Region
+from optical_palpation.errors import InputError
+from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.present.output import atomic, provenance
+from optical_palpation.present.profiles import on_layer
+from optical_palpation.present.terms import STATES, Term, common_limits, is_map, term
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Colormap
+    from matplotlib.figure import Figure
+
+Width = Literal["single", "double"] | float
+#: Widths of one and two columns, mm; those of most journals differ by no more than 5 mm.
+COLUMNS = {"single": 85.0, "double": 178.0}
+_MM = 1 / 25.4
+_DPI = 300
+_STYLE: Any = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
+    "font.size": 7.5,
+    "axes.titlesize": 7.5,
+    "axes.labelsize": 7.5,
+    "xtick.labelsize": 6.5,
+    "ytick.labelsize": 6.5,
+    "legend.fontsize": 6.5,
+    "figure.titlesize": 8.5,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "lines.linewidth": 1.2,
+    "grid.linewidth": 0.4,
+    "grid.alpha": 0.4,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "legend.handlelength": 1.4,
+    "legend.columnspacing": 1.0,
+    # Text stays text, which a journal can set anew.
+    "pdf.fonttype": 42,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "optical-palpation",
+    "savefig.dpi": _DPI,
+    "figure.dpi": _DPI,
+}
+
+
+@contextmanager
+def new_figure(width: Width = "double", height: float = 90.0) -> Iterator[Figure]:
+    """Give an empty figure in the style of all figures; draw within the context.
+
+    Parameters
+    ----------
+    width
+        ``single`` or ``double`` column, or mm.
+    height
+        In mm.
+
+    Raises
+    ------
+    InputError
+        If the width is none of these.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(_STYLE):
+        size = (width_in_mm(width) * _MM, height * _MM)
+        figure = Figure(figsize=size, layout="constrained", dpi=_DPI)
+        FigureCanvasAgg(figure)
+        yield figure
+
+
+@contextmanager
+def figure_file(
+    path: str | Path,
+    width: Width = "double",
+    height: float = 90.0,
+    maps: xr.Dataset | None = None,
+) -> Iterator[Figure]:
+    """Give a figure as :func:`new_figure` does, and write what was drawn (PNG, PDF or SVG).
+
+    Parameters
+    ----------
+    path
+        The picture; its ending says which kind. Text of a PDF or SVG stays text.
+    width, height
+        As for :func:`new_figure`.
+    maps
+        The maps of the result that it shows, which tell where the figure is from.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    with atomic(path, "picture") as temporary, new_figure(width, height) as figure:
+        yield figure
+        about = {} if maps is None else provenance(maps)
+        text = "; ".join(f"{key} {value}" for key, value in about.items() if key != "convergence")
+        metadata: dict[str, dict[str, Any]] = {
+            ".png": {"Description": text},
+            ".pdf": {"Subject": text, "CreationDate": None},
+            ".svg": {"Description": text, "Date": None},
+        }
+        figure.savefig(temporary, metadata=metadata[temporary.suffix.lower()])
+
+
+def width_in_mm(width: Width) -> float:
+    """Return a width in mm.
+
+    Raises
+    ------
+    InputError
+        If it is neither ``single`` nor ``double`` nor 20 to 500 mm.
+    """
+    if isinstance(width, str) and width in COLUMNS:
+        return COLUMNS[width]
+    if isinstance(width, int | float) and 20.0 <= width <= 500.0:
+        return float(width)
+    raise InputError(f"width: 'single', 'double' or a number of mm from 20 to 500, not {width!r}")
+
+
+def colour_map(name: str) -> Colormap:
+    """Return a colour map of matplotlib, or one of Crameri's.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+    """
+    from cmcrameri import cm
+    from matplotlib import colormaps
+
+    if name in colormaps:
+        return colormaps[name]
+    if name in cm.cmaps:
+        return cm.cmaps[name]
+    known = [*colormaps, *cm.cmaps]
+    near = difflib.get_close_matches(name, known, 3)
+    hint = f"did you mean {' or '.join(near)}?" if near else "viridis, cividis and magma are some"
+    raise InputError(f"there is no colour map {name!r}; {hint}")
+
+
+def draw_map(
+    axes: Axes,
+    field: xr.DataArray,
+    what: Term,
+    *,
+    limits: tuple[float, float] | None = None,
+    colours: str | None = None,
+    scale_bar: bool = False,
+    colour_bar: bool = True,
+    regions: Sequence[Region] = (),
+) -> ScalarMappable:
+    """Draw a map, true to scale, with its name, unit and colour bar.
+
+    Parameters
+    ----------
+    axes
+        Where to draw.
+    field
+        Map on ``(y, x)``, coordinates in mm.
+    what
+        What it is called.
+    limits
+        Lowest and highest value of the colours; the 1st to 99th percentile by default.
+    colours
+        Name of another colour map.
+    scale_bar
+        A scale bar instead of axes in mm.
+    colour_bar
+        Whether to draw one.
+    regions
+        Regions of interest to outline.
+    """
+    from matplotlib.colors import BoundaryNorm, ListedColormap
+
+    field = field.transpose("y", "x").sortby(["y", "x"])
+    values = field.values
+    options: dict[str, Any] = {"shading": "nearest", "rasterized": True}
+    named: dict[str, str] = {}
+    if what.colours == "states":
+        names = str(field.attrs.get("flag_meanings", "")).split() or [
+            state.name.lower() for state in ContactState
+        ]
+        named = {name: STATES.get(name, f"C{k}") for k, name in enumerate(names)}
+    elif what.colours == "flags":
+        named = {"no": "#DDDDDD", "yes": "#D55E00"}
+        values = values.astype(float)
+    if named:
+        options["cmap"] = ListedColormap(list(named.values()))
+        options["norm"] = BoundaryNorm(np.arange(len(named) + 1) - 0.5, len(named))
+    else:
+        low, high = limits or common_limits({"": field}, what.colours)
+        if not low < high:
+            raise InputError(f"limits: the lowest must be below the highest, found {low}, {high}")
+        options |= {"cmap": colour_map(colours or what.colours), "vmin": low, "vmax": high}
+    mesh = axes.pcolormesh(field["x"], field["y"], values, **options)
+    axes.set_title(what.label, loc="left")
+    axes.set_aspect("equal")
+    if scale_bar:
+        axes.set(xticks=[], yticks=[])
+        _scale_bar(axes, float(np.ptp(axes.get_xlim())))
+    else:
+        axes.set(xlabel="x (mm)", ylabel="y (mm)")
+    if colour_bar:
+        figure: Any = axes.figure
+        if named:
+            bar = figure.colorbar(mesh, ax=axes, fraction=0.05, ticks=range(len(named)))
+            shares = [float(np.mean(values == k)) for k in range(len(named))]
+            rows = zip(named, shares, strict=True)
+            bar.ax.set_yticklabels([f"{name}\n{share:.1%}" for name, share in rows])
+            bar.ax.tick_params(length=0)
+        else:
+            seen = values[np.isfinite(values)]
+            beyond = [bool((seen < low).any()), bool((seen > high).any())]
+            ends = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}
+            extend = ends[int(beyond[0]), int(beyond[1])]
+            figure.colorbar(mesh, ax=axes, fraction=0.05, extend=extend, extendfrac=0.03)
+    _outline(axes, regions, field)
+    return mesh
+
+
+def _scale_bar(axes: Axes, width: float) -> None:
+    """A bar of a round length of about a quarter of the map."""
+    from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+
+    rough = width / 4
+    power = 10.0 ** np.floor(np.log10(rough))
+    length = max(m * power for m in (1, 2, 5) if m * power <= rough * 1.001)
+    text = f"{length:g} mm" if length >= 0.1 else f"{1000 * length:g} µm"
+    bar = AnchoredSizeBar(
+        axes.transData,
+        length,
+        text,
+        "lower right",
+        pad=0.3,
+        borderpad=0.4,
+        sep=2,
+        size_vertical=0.012 * width,
+        color="black",
+        label_top=True,
+    )
+    bar.patch.set(facecolor="white", edgecolor="none", alpha=0.75)
+    axes.add_artist(bar)
+
+
+def _outline(axes: Axes, regions: Sequence[Region], field: xr.DataArray) -> None:
+    from matplotlib.patheffects import withStroke
+
+    halo = [withStroke(linewidth=2.2, foreground="black")]
+    for region in regions:
+        if region.outlines:
+            for outline in region.outlines:
+                closed = np.vstack([outline, outline[:1]])
+                axes.plot(*closed.T, color="white", lw=1.0, path_effects=halo)
+            x, y = map(float, np.concatenate(region.outlines).mean(0))
+        else:
+            weight = region.weights(field)
+            axes.contour(field["x"], field["y"], weight, [0.5], colors="white", linewidths=1.0)
+            x, y = (float((weight * field[axis]).sum() / weight.sum()) for axis in "xy")
+        plate = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
+        axes.text(x, y, region.name, ha="center", va="center", bbox=plate, clip_on=True)
+
+
+def letter(panels: Sequence[Axes]) -> None:
+    """Give panels their letters, in the order in which they are read."""
+    for k, axes in enumerate(panels):
+        axes.annotate(
+            f"({chr(ord('a') + k)})",
+            (0.0, 1.0),
+            xytext=(-4.0, 5.0),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            ha="right",
+            va="bottom",
+            weight="bold",
+        )
+
+
+def write_maps(
+    result: StressResult | xr.Dataset,
+    path: str | Path,
+    names: Sequence[str] = ("axial_stress",),
+    *,
+    width: Width = "single",
+    columns: int | None = None,
+    limits: Mapping[str, tuple[float, float]] | tuple[float, float] | None = None,
+    colours: str | None = None,
+    scale_bar: bool = False,
+    letters: bool | None = None,
+    regions: Sequence[Region] = (),
+) -> None:
+    """Write maps of a result as a figure for a paper (PNG, PDF or SVG by the name's ending).
+
+    All maps have the same axes; those of one kind, such as stress by both methods, share their
+    colour limits. Names of quantities and units are in words.
+
+    Parameters
+    ----------
+    result
+        A result, or a Dataset of maps on ``(y, x)``.
+    path
+        The picture. Maps are pixels in it, at 300 dpi; all else of a PDF or SVG is vectors.
+    names
+        Maps to show, in this order.
+    width
+        ``single`` (85 mm) or ``double`` column (178 mm), or mm.
+    columns
+        Maps beside each other; by default one in a single column, three in a double one.
+    limits
+        Colour limits of all maps, or by name; those of a name hold for its whole kind.
+    colours
+        A colour map instead of those of each quantity.
+    scale_bar
+        A scale bar instead of axes in mm.
+    letters
+        Letters on the panels; where there are several, by default.
+    regions
+        Regions of interest to outline.
+
+    Raises
+    ------
+    InputError
+        If there is no such map, or an option cannot be used.
+    OutputError
+        If the file cannot be written.
+    """
+    maps = result.maps if isinstance(result, StressResult) else result
+    if "loaded_thickness" in maps:
+        maps = on_layer(maps)
+    if not names:
+        raise InputError("names: give at least one map")
+    terms = {name: _known_term(maps, name) for name in names}
+    by_scale = _limits(maps, terms, limits)
+    across = columns or (1 if width_in_mm(width) < 120 else 3)
+    across = min(across, len(names))
+    down = -(-len(names) // across)
+    y, x = maps["y"].values, maps["x"].values
+    aspect = float(np.clip(np.ptp(y) / max(np.ptp(x), 1e-12), 0.2, 3.0))
+    margin = 10.0 if scale_bar else 18.0
+    height = down * ((width_in_mm(width) / across - 20.0) * aspect + margin)
+    with figure_file(path, width, height, maps if "loaded_thickness" in maps else None) as figure:
+        panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
+        for axes, (name, what) in zip(panels, terms.items(), strict=False):
+            draw_map(
+                axes,
+                maps[name],
+                what,
+                limits=by_scale.get(what.scale),
+                colours=colours if what.colours not in ("states", "flags") else None,
+                scale_bar=scale_bar,
+                regions=regions,
+            )
+        for axes in panels[len(names) :]:
+            axes.remove()
+        for k, axes in enumerate(panels[: len(names)]):
+            if not scale_bar:
+                axes.set_ylabel("y (mm)" if k % across == 0 else "")
+                below = k + across >= len(names)
+                axes.set_xlabel("x (mm)" if below else "")
+                axes.tick_params(labelbottom=below, labelleft=k % across == 0)
+        if letters or (letters is None and len(names) > 1):
+            letter(list(panels[: len(names)]))
+
+
+def _known_term(maps: xr.Dataset, name: str) -> Term:
+    if name not in maps or not is_map(maps[name]):
+        known = ", ".join(str(n) for n, v in maps.data_vars.items() if is_map(v))
+        raise InputError(f"there is no map {name!r}; known are {known}")
+    return term(maps, name)
+
+
+def _limits(
+    maps: xr.Dataset,
+    terms: Mapping[str, Term],
+    given: Mapping[str, tuple[float, float]] | tuple[float, float] | None,
+) -> dict[str, tuple[float, float]]:
+    """Colour limits by scale."""
+    found: dict[str, tuple[float, float]] = {}
+    for what in terms.values():
+        if what.colours in ("states", "flags"):
+            continue
+        same = {n: maps[n] for n, t in terms.items() if t.scale == what.scale}
+        found[what.scale] = common_limits(same, what.colours)
+        if isinstance(given, Mapping):
+            chosen = [given[n] for n in same if n in given]
+            found[what.scale] = chosen[0] if chosen else found[what.scale]
+        elif given is not None:
+            found[what.scale] = given
+    for pair in found.values():
+        numbers = np.asarray(pair, dtype=float) if len(tuple(pair)) == 2 else np.empty(0)
+        if numbers.size != 2 or not np.isfinite(numbers).all() or not numbers[0] < numbers[1]:
+            raise InputError(f"limits: lowest and highest value, such as (-5, 0); found {pair!r}")
+    return {scale: (float(low), float(high)) for scale, (low, high) in found.items()}

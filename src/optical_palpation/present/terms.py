@@ -1,0 +1,112 @@
+"""What the maps of a result are called in figures and in the report, and how they are coloured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+
+# Perceptually uniform, and told apart by all kinds of colour vision. Brighter is more compressed,
+# as in the published maps: stress is negative there.
+STRESS, PRESSURE, LENGTH = "viridis_r", "viridis", "cividis"
+ERROR, DIFFERENCE, QUALITY = "magma", "vik", "cividis"
+# Okabe and Ito's palette, told apart by all kinds of colour vision.
+ALGEBRAIC, COMPUTATIONAL = "#D55E00", "#0072B2"
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STATES = {"open": "#DDDDDD", "slip": "#E69F00", "stick": "#0072B2"}
+
+
+@dataclass(frozen=True)
+class Term:
+    """A quantity in words.
+
+    Attributes
+    ----------
+    words
+        Its name, as in "Axial stress, algebraic".
+    units
+        Unit, "" for a number.
+    colours
+        Name of its colour map; "states" for states of contact, "flags" for yes and no.
+    scale
+        Maps of one scale share their colour limits.
+    """
+
+    words: str
+    units: str
+    colours: str
+    scale: str
+
+    @property
+    def label(self) -> str:
+        """Words and unit."""
+        return f"{self.words} ({self.units})" if self.units else self.words
+
+
+_TERMS = {
+    "axial_stress": Term("Axial stress", "kPa", STRESS, "stress"),
+    "algebraic_axial_stress": Term("Axial stress, algebraic", "kPa", STRESS, "stress"),
+    "contact_pressure": Term("Contact pressure", "kPa", PRESSURE, "pressure"),
+    "traction_x": Term("Traction along x", "kPa", DIFFERENCE, "shear"),
+    "traction_y": Term("Traction along y", "kPa", DIFFERENCE, "shear"),
+    "traction_z": Term("Traction along z", "kPa", STRESS, "traction_z"),
+    "contact_state": Term("Contact with the sample", "", "states", "states"),
+    "window_contact_state": Term("Contact with the window", "", "states", "states"),
+    "loaded_thickness": Term("Loaded thickness", "mm", LENGTH, "thickness"),
+    "initial_thickness": Term("Unloaded thickness", "mm", LENGTH, "thickness"),
+    "filled": Term("Filled pixels", "", "flags", "flags"),
+    "quality": Term("Quality of the boundaries", "", QUALITY, "quality"),
+    "axial_stress_error": Term("Error of the axial stress", "kPa", ERROR, "error"),
+    "difference": Term("Difference", "kPa", DIFFERENCE, "difference"),
+}
+
+
+def term(maps: xr.Dataset, name: str) -> Term:
+    """Return what a map is called: by the table here, else by its own attributes."""
+    field = maps[name]
+    units = str(field.attrs.get("units", ""))
+    if (known := _TERMS.get(name)) is not None:
+        if name == "axial_stress" and "contact_pressure" in maps:
+            return replace(known, words="Axial stress, computational")
+        return replace(known, units=units or known.units)
+    words = str(field.attrs.get("long_name", name)).replace("_", " ")
+    words = words[:1].upper() + words[1:]
+    units = "" if units == "1" else units
+    if "flag_meanings" in field.attrs:
+        return Term(words, "", "states", name)
+    if field.dtype.kind == "b":
+        return Term(words, "", "flags", name)
+    values = field.values[np.isfinite(field.values)]
+    if "difference" in name or (values.size and values.min() < 0 < values.max()):
+        return Term(words, units, DIFFERENCE, name)
+    return Term(words, units, ERROR, name)
+
+
+def is_map(field: xr.DataArray) -> bool:
+    """Whether a variable is a map that can be shown."""
+    return set(field.dims) == {"y", "x"} and field.dtype.kind in "fiub" and field.size > 0
+
+
+def common_limits(
+    fields: Mapping[str, xr.DataArray], colours: str, share: float = 1.0
+) -> tuple[float, float]:
+    """Colour limits that hold for all of these maps.
+
+    The values between which all but `share` percent at either end lie, so that the few extreme
+    ones at the edges do not hide the rest; about zero for a diverging colour map.
+    """
+    values = np.concatenate([f.values.astype(float).ravel() for f in fields.values()])
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return 0.0, 1.0
+    low, high = (float(v) for v in np.percentile(values, [share, 100.0 - share]))
+    if colours == DIFFERENCE:
+        high = max(abs(low), abs(high)) or 1.0
+        return -high, high
+    if high - low <= 1e-6 * max(abs(low), abs(high)):
+        # one colour for a constant map, and a scale that can be read
+        margin = 0.05 * abs(high) or 1.0
+        return low - margin, high + margin
+    return low, high

@@ -1,0 +1,200 @@
+"""Figures for papers: what is in them is measured in the files, not asked of the code that drew."""
+
+import re
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+import xarray as xr
+from PIL import Image
+
+from optical_palpation.analysis import Region
+from optical_palpation.errors import InputError, OutputError
+from optical_palpation.palpation.result import StressResult
+from optical_palpation.present import write_maps, write_panel
+from optical_palpation.present.figure import colour_map, draw_map, new_figure
+from optical_palpation.present.terms import term
+
+X, Y = np.linspace(0, 4, 33), np.linspace(1, 3, 17)
+
+
+def result(computational=True):
+    y, x = np.meshgrid(Y, X, indexing="ij")
+    grid = ("y", "x")
+    maps = xr.Dataset(
+        {
+            "axial_stress": (grid, -3 - np.sin(2 * x) * np.cos(3 * y), {"units": "kPa"}),
+            "algebraic_axial_stress": (grid, -2 - np.sin(2 * x), {"units": "kPa"}),
+            "loaded_thickness": (grid, 0.4 + 0.02 * x, {"units": "mm"}),
+            "contact_state": (grid, (1 + (x > 2)).astype(np.int8)),
+            "edge_influence": (
+                grid,
+                np.exp(-x),
+                {"units": "kPa", "long_name": "influence of the edges"},
+            ),
+        },
+        {"y": Y, "x": X},
+    )
+    if computational:
+        maps["contact_pressure"] = -maps["axial_stress"]
+    return StressResult(maps)
+
+
+def size_in_mm(path):
+    if path.suffix == ".png":
+        picture = Image.open(path)
+        return [n / d * 25.4 for n, d in zip(picture.size, picture.info["dpi"], strict=True)]
+    root = ET.parse(path).getroot()
+    return [float(root.get(k).removesuffix("pt")) * 25.4 / 72 for k in ("width", "height")]
+
+
+def texts(path):
+    root = ET.parse(path).getroot()
+    return " ".join("".join(e.itertext()) for e in root.iter("{http://www.w3.org/2000/svg}text"))
+
+
+@pytest.mark.parametrize("ending", ["png", "svg"])
+@pytest.mark.parametrize(("width", "mm"), [("single", 85), ("double", 178), (120.0, 120)])
+def test_a_figure_is_as_wide_as_its_column(tmp_path, ending, width, mm):
+    path = tmp_path / f"f.{ending}"
+    write_maps(result(), path, width=width)
+    assert size_in_mm(path)[0] == pytest.approx(mm, abs=0.2)
+
+
+def test_terms_are_words_with_units_and_panels_have_letters(tmp_path):
+    path = tmp_path / "f.svg"
+    names = ["axial_stress", "algebraic_axial_stress", "loaded_thickness", "edge_influence"]
+    write_maps(result(), path, names, width="double")
+    said = texts(path)
+    for words in (
+        "Axial stress, computational (kPa)",
+        "Axial stress, algebraic (kPa)",
+        "Loaded thickness (mm)",
+        "Influence of the edges (kPa)",
+    ):
+        assert words in said
+    assert "_" not in said
+    plain = re.sub(r"\s", "", said)
+    assert all(f"({letter})" in plain for letter in "abcd")
+    assert "(e)" not in plain
+
+
+def test_a_figure_is_vectors_with_pixels_only_where_maps_are(tmp_path):
+    write_maps(result(), tmp_path / "f.svg", ["axial_stress"])
+    text = (tmp_path / "f.svg").read_text()
+    # the map and its colour bar
+    assert 1 <= text.count("<image") <= 2
+    assert "x (mm)" in texts(tmp_path / "f.svg")
+    write_maps(result(), tmp_path / "f.pdf", ["axial_stress"])
+    content = (tmp_path / "f.pdf").read_bytes()
+    assert b"/TrueType" in content or b"/Type0" in content
+    assert b"/Type3" not in content
+
+
+def test_the_same_result_gives_the_same_file(tmp_path):
+    for name in ("a.svg", "b.svg", "a.pdf", "b.pdf"):
+        write_maps(result(), tmp_path / name)
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+    assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
+
+
+def test_a_scale_bar_takes_the_place_of_axes(tmp_path):
+    write_maps(result(), tmp_path / "f.svg", scale_bar=True)
+    said = texts(tmp_path / "f.svg")
+    assert "1 mm" in said
+    assert "x (mm)" not in said
+
+
+@pytest.mark.parametrize(("scale", "text"), [(1.0, "1 mm"), (0.1, "0.1 mm"), (0.01, "10 µm")])
+def test_a_scale_bar_is_a_round_quarter_of_the_map(scale, text):
+    maps = result().maps
+    maps = maps.assign_coords(x=maps["x"] * scale, y=maps["y"] * scale)
+    with new_figure("single", 60) as figure:
+        axes = figure.subplots()
+        draw_map(axes, maps["axial_stress"], term(maps, "axial_stress"), scale_bar=True)
+        (bar,) = axes.artists
+        assert bar.txt_label.get_text() == text
+        length = bar.size_bar.get_children()[0].get_width()
+        assert 0.1 < length / (4.125 * scale) <= 0.25
+
+
+def test_limits_are_those_that_were_chosen_and_shared():
+    maps = result().maps
+    with new_figure() as figure:
+        axes = figure.subplots()
+        what = term(maps, "axial_stress")
+        mesh = draw_map(axes, maps["axial_stress"], what, limits=(-4.0, 0.0))
+    assert mesh.get_clim() == (-4.0, 0.0)
+
+
+def test_maps_of_one_kind_share_their_limits(tmp_path, monkeypatch):
+    seen = {}
+    from optical_palpation.present import figure as module
+
+    def watched(axes, field, what, **options):
+        seen[what.words] = options["limits"]
+        return draw_map(axes, field, what, **options)
+
+    monkeypatch.setattr(module, "draw_map", watched)
+    names = ["axial_stress", "algebraic_axial_stress", "loaded_thickness"]
+    write_maps(result(), tmp_path / "f.png", names, width="double")
+    assert seen["Axial stress, computational"] == seen["Axial stress, algebraic"]
+    assert seen["Loaded thickness"] != seen["Axial stress, algebraic"]
+    write_maps(result(), tmp_path / "f.png", names, limits={"algebraic_axial_stress": (-9, 0)})
+    assert seen["Axial stress, computational"] == (-9.0, 0.0)
+
+
+def lightness(colours):
+    """CIE L* of sRGB colours."""
+    rgb = np.asarray(colours)[:, :3]
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    luminance = linear @ [0.2126, 0.7152, 0.0722]
+    return np.where(luminance > 0.008856, 116 * np.cbrt(luminance) - 16, 903.3 * luminance)
+
+
+@pytest.mark.parametrize("name", ["viridis_r", "viridis", "cividis", "magma"])
+def test_lightness_of_colour_maps_runs_one_way(name):
+    steps = np.diff(lightness(colour_map(name)(np.linspace(0, 1, 64))))
+    assert (steps > 0).all() or (steps < 0).all()
+
+
+def test_lightness_of_the_diverging_map_is_symmetric():
+    levels = lightness(colour_map("vik")(np.linspace(0, 1, 65)))
+    assert np.argmax(levels) in range(30, 35)
+    assert np.abs(levels - levels[::-1]).max() < 12
+
+
+def test_regions_are_outlined_by_name(tmp_path):
+    regions = [
+        Region.rectangle("dense", 0.5, 1.5, 1.2, 2.0),
+        Region.of_mask("soft", (result().maps["axial_stress"] * 0 + result().maps["x"]) > 3),
+    ]
+    write_maps(result(), tmp_path / "f.svg", regions=regions)
+    assert "dense" in texts(tmp_path / "f.svg")
+    assert "soft" in texts(tmp_path / "f.svg")
+
+
+def test_options_that_cannot_be_used_leave_nothing(tmp_path):
+    path = tmp_path / "f.png"
+    with pytest.raises(InputError, match="known are axial_stress"):
+        write_maps(result(), path, ["strain"])
+    with pytest.raises(InputError, match="lowest and highest"):
+        write_maps(result(), path, limits=(1.0, 0.0))
+    with pytest.raises(InputError, match="did you mean viridis"):
+        write_maps(result(), path, colours="virids")
+    with pytest.raises(InputError, match="'single', 'double'"):
+        write_maps(result(), path, width="triple")
+    with pytest.raises(InputError, match="at least one"):
+        write_maps(result(), path, [])
+    with pytest.raises(OutputError, match="ends in"):
+        write_maps(result(), tmp_path / "f.gif")
+    assert not list(tmp_path.iterdir())
+
+
+def test_where_a_figure_is_from_is_in_its_file(tmp_path):
+    it = result()
+    it.maps.attrs["window_friction"] = 0.15
+    write_panel(it, tmp_path / "f.png")
+    assert "window_friction 0.15" in Image.open(tmp_path / "f.png").info["Description"]
+    write_panel(it, tmp_path / "f.svg")
+    assert "window_friction 0.15" in (tmp_path / "f.svg").read_text()
