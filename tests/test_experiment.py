@@ -368,7 +368,9 @@ def test_arrays_act_as_entries_of_the_scene():
 def test_shipped_scenes_are_whole():
     assert set(scene_names()) == {
         "cube_on_plate",
+        "nodule",
         "random_tissue",
+        "relief",
         "sinusoid",
         "soft_stiff_columns",
     }

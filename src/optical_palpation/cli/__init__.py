@@ -18,6 +18,7 @@ from optical_palpation.cli.experiment import experiment
 from optical_palpation.cli.friction import friction
 from optical_palpation.cli.material import material
 from optical_palpation.cli.reproduce import reproduce
+from optical_palpation.cli.sample import sample
 from optical_palpation.cli.stress import StressCommand, stress
 from optical_palpation.cli.study import new, run
 from optical_palpation.cli.thickness import thickness
@@ -33,6 +34,7 @@ app = typer.Typer(
 )
 app.command(cls=StressCommand)(stress)
 app.command()(demo)
+app.command()(sample)
 app.command()(new)
 app.command()(run)
 app.command()(thickness)

@@ -16,8 +16,8 @@ def experiment(
         str,
         typer.Argument(
             metavar="SCENE",
-            help="A scene file (.toml), or one of cube_on_plate, random_tissue, sinusoid, "
-            "soft_stiff_columns.",
+            help="A scene file (.toml), or one of cube_on_plate, nodule, random_tissue, "
+            "relief, sinusoid, soft_stiff_columns.",
             show_default=False,
         ),
     ],
@@ -68,7 +68,7 @@ def experiment(
     write_bodies(result, layer, sample)
     written = [result_file, picture, layer, sample]
     if volumes:
-        from optical_palpation.experiment.demo_volumes import experiment_volumes, write_volume
+        from optical_palpation.experiment.volumes import experiment_volumes, write_volume
 
         for name, volume in experiment_volumes(result.maps).items():
             written.append(output / f"{name}.npy")

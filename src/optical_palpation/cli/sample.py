@@ -1,0 +1,37 @@
+"""``optical-palpation sample``: a small measurement with a known answer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+
+def sample(
+    name: Annotated[
+        Literal["plate", "relief", "nodule"],
+        typer.Argument(
+            help="plate: flat and without friction, known in closed form. relief: a stiff sample, "
+            "as a coin. nodule: soft tissue with a stiff nodule.",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[
+        Path | None, typer.Option(help="Folder; made if need be.  [default: NAME]")
+    ] = None,
+) -> None:
+    """Write a small measurement with a known answer: OCT volumes, a study of them, the truth."""
+    from optical_palpation.experiment.sample_data import SAMPLES, make_sample, sample_truth
+
+    folder = output or Path(name)
+    print(f"{name}: {SAMPLES[name]}", flush=True)
+    study = make_sample(name, folder)
+    truth = sample_truth(name)
+    stress = truth["axial_stress"]
+    print(
+        f"{folder / 'unloaded.npy'}, {folder / 'loaded.npy'}: OCT volumes of the layer\n"
+        f"{folder / 'truth.nc'}: axial stress {float(stress.min()):.2f} to "
+        f"{float(stress.max()):.2f} kPa, force {truth.attrs['window_force_mN']:.1f} mN\n"
+        f"{study}: the study of them; next: optical-palpation run {study}"
+    )
