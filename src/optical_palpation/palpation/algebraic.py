@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from optical_palpation.errors import MaterialError
+from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.material import MooneyRivlin, stable_stretches
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.thickness.frames import inside_layer, on_grid
@@ -46,6 +46,11 @@ def algebraic_stress(
     MaterialError
         If a pixel is compressed beyond the strain up to which the material is stable.
     """
+    if not isinstance(material, MooneyRivlin):
+        raise InputError(
+            "material: a MooneyRivlin(c10=..., c01=...), moduli in kPa, not "
+            f"{type(material).__name__} {str(material)[:40]!r}"
+        )
     loaded = on_grid(loaded)
     initial = match_initial_thickness(initial_thickness, loaded)
     stretch = np.where(inside_layer(loaded), loaded.values / initial.values, np.nan)

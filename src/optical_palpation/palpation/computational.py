@@ -226,8 +226,8 @@ def _start(result: StressResult | None, problem: LayerProblem) -> LayerState | N
         return None
     if result.state is None or result.problem is None:
         raise InputError(
-            "the result to start from holds no state: only those of computational_stress do, not "
-            "those read from a file"
+            "the result to start from holds no state: only those of computational_stress do, and "
+            "files of them that this version has written"
         )
     if result.problem.grid.node_shape != problem.grid.node_shape:
         here, there = (p.grid.shape[::-1] for p in (problem, result.problem))
@@ -247,25 +247,32 @@ def _check_numbers(
     threads: int | None,
 ) -> None:
     for name, value in (("window_friction", window_friction), ("sample_friction", sample_friction)):
-        if not (np.isfinite(value) and value >= 0):
+        if not (_is_number(value) and value >= 0):
             raise InputError(f"{name} must be a number of at least 0, not {value!r}")
         if value > 2:
             raise InputError(f"{name} is {value:g}: no interface has a coefficient above 2")
     if edges not in ("free", "roller", "padded"):
         raise InputError(f"edges must be free, roller or padded, not {edges!r}")
-    if smoothing is not None and not (np.isfinite(smoothing) and smoothing >= 0):
+    if smoothing is not None and not (_is_number(smoothing) and smoothing >= 0):
         raise InputError(f"imprint_smoothing must be at least 0 mm, not {smoothing!r}")
     if solver not in ("auto", "multigrid", "direct"):
         raise InputError(f"solver must be auto, multigrid or direct, not {solver!r}")
-    if threads is not None and threads < 1:
-        raise InputError(f"threads must be at least 1, not {threads!r}")
+    if threads is not None and not (isinstance(threads, int | np.integer) and threads >= 1):
+        raise InputError(f"threads must be a whole number of at least 1, not {threads!r}")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
 
 
 def _element_sizes(
     given: float | Sequence[float], loaded: xr.DataArray, thickness: float
 ) -> tuple[float, float, float]:
     """Element sizes (x, y, z), mm."""
-    values = np.atleast_1d(np.asarray(given, dtype=float))
+    try:
+        values = np.atleast_1d(np.asarray(given, dtype=float))
+    except (TypeError, ValueError):
+        values = np.empty(0)
     if values.size not in (1, 3) or not np.all(np.isfinite(values)) or np.any(values <= 0):
         raise InputError(f"element_size must be one or three positive numbers in mm, not {given!r}")
     x, y, z = (float(v) for v in np.broadcast_to(values, 3))

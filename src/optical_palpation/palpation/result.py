@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import xarray as xr
 
+from optical_palpation.errors import InputError
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from optical_palpation.analysis import Region
 
 
 class ContactState(IntEnum):
@@ -18,9 +28,12 @@ class ContactState(IntEnum):
     STICK = 2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StressResult:
     """Tactile stress as maps in the frame of the imaging system, and the layer behind them.
+
+    The methods call :mod:`optical_palpation.analysis` and :mod:`optical_palpation.present`, which
+    can do more.
 
     Attributes
     ----------
@@ -42,7 +55,7 @@ class StressResult:
         ``sample_contact_state``, ``window_contact_state``.
     problem
         The boundary-value problem that was solved, for export to other codes; ``None`` for the
-        algebraic method and for results read from a file.
+        algebraic method.
     state
         The state of that problem at full load, from which solving a similar one may start; likewise
         ``None``.
@@ -52,3 +65,167 @@ class StressResult:
     layer: xr.Dataset | None = None
     problem: LayerProblem | None = None
     state: LayerState | None = field(default=None, repr=False)
+
+    # What follows only hands on. The packages it calls are built on this one, hence they are
+    # imported where they are needed.
+
+    def __repr__(self) -> str:
+        stress = self.maps["axial_stress"]
+        parts = [f"{' x '.join(map(str, stress.shape))} points"]
+        if (force := self.maps.attrs.get("sample_force_mN")) is not None:
+            parts.append(f"force {float(force):.4g} mN")
+        parts.append(f"mean axial stress {float(stress.mean()):.4g} kPa")
+        if "contact_state" in self.maps:
+            touching = float(np.mean(self.maps["contact_state"].values != ContactState.OPEN))
+            parts.append(f"in contact {touching:.0%}")
+        method = self.maps.attrs.get("method", "unknown method")
+        return f"<StressResult, {method}: {', '.join(parts)}>"
+
+    def _repr_html_(self) -> str:
+        from optical_palpation.present.notebook import result_html
+
+        return result_html(self)
+
+    def plot(self, name: str = "axial_stress", *, ax: Axes | None = None, **options: Any) -> Axes:
+        """Draw a map.
+
+        Parameters
+        ----------
+        name
+            Which of the maps.
+        ax
+            Matplotlib axes; those of a new figure by default.
+        options
+            ``limits``, ``colours``, ``scale_bar``, ``colour_bar`` and ``regions``, as for
+            :func:`~optical_palpation.present.write_maps`.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        InputError
+            If there is no such map, or an option cannot be used.
+        """
+        from optical_palpation.present.figure import plot_map
+
+        return plot_map(self.maps, name, ax, **options)
+
+    def profile(
+        self, line: str | Sequence[Sequence[float]] = "x", width: float = 0.0
+    ) -> xr.Dataset:
+        """Read the maps along a line.
+
+        Parameters
+        ----------
+        line
+            Its ends, ((x, y), (x, y)) in mm; or ``"x"`` or ``"y"``, through the centre.
+        width
+            Average over a band of this width about it, mm.
+
+        Returns
+        -------
+        xarray.Dataset
+            As from :func:`~optical_palpation.analysis.line_profile`.
+
+        Raises
+        ------
+        InputError
+            If it is no such line, or misses the maps.
+        """
+        from optical_palpation.analysis import line_profile
+
+        if isinstance(line, str):
+            if line not in ("x", "y"):
+                raise InputError(f"line: 'x', 'y' or two points (x, y) in mm, not {line!r}")
+            x, y = (self.maps[axis].values for axis in "xy")
+            middle = (x[0] + x[-1]) / 2, (y[0] + y[-1]) / 2
+            line = (
+                ((x[0], middle[1]), (x[-1], middle[1]))
+                if line == "x"
+                else ((middle[0], y[0]), (middle[0], y[-1]))
+            )
+        try:
+            start, end = line
+        except (TypeError, ValueError):
+            raise InputError(
+                f"line: 'x', 'y' or two points ((x, y), (x, y)) in mm, not {line!r}"
+            ) from None
+        return line_profile(self.maps, start, end, width)
+
+    def regions(
+        self,
+        regions: Sequence[Region] | str | os.PathLike[str],
+        variable: str = "axial_stress",
+        background: Any = "rest",
+    ) -> xr.Dataset:
+        """Tell what a map says in regions of interest.
+
+        Parameters
+        ----------
+        regions
+            Regions, or a file of them (:func:`~optical_palpation.analysis.read_regions`).
+        variable, background
+            As for :func:`~optical_palpation.analysis.region_statistics`.
+
+        Returns
+        -------
+        xarray.Dataset
+            As from that function; ``.to_dataframe()`` makes a table of it.
+
+        Raises
+        ------
+        InputError
+            If the regions cannot be read or do not fit.
+        """
+        from optical_palpation.analysis import read_regions, region_statistics
+
+        if isinstance(regions, str | os.PathLike):
+            regions = read_regions(regions, self.maps)
+        return region_statistics(self.maps, regions, variable, background)
+
+    def compare(
+        self, other: StressResult, variable: str = "axial_stress", *, register: bool = False
+    ) -> xr.Dataset:
+        """Compare with another result, on the points of this one.
+
+        Parameters
+        ----------
+        other
+            The other result; its difference from this one is what is found.
+        variable, register
+            As for :func:`~optical_palpation.analysis.compare_results`.
+
+        Returns
+        -------
+        xarray.Dataset
+            As from that function, for the results ``this`` and ``other``.
+
+        Raises
+        ------
+        InputError
+            If the two cannot be compared.
+        """
+        from optical_palpation.analysis import compare_results
+
+        if not isinstance(other, StressResult):
+            raise InputError(f"other: a StressResult, not {type(other).__name__}")
+        pair = {"this": self.maps, "other": other.maps}
+        return compare_results(pair, variable, register=register)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the result to a file of the kind that its name's ending says.
+
+        ``.nc`` keeps all of it, :func:`~optical_palpation.present.read_result` reads it back, with
+        the state from which a similar problem can start. The rest is listed at
+        :func:`~optical_palpation.present.write`.
+
+        Raises
+        ------
+        OutputError
+            If there is no such kind, or the file cannot be written.
+        """
+        from optical_palpation.present import write
+
+        write(self, path)

@@ -10,12 +10,14 @@ from optical_palpation.present.profiles import centre_profiles, write_profiles
 from optical_palpation.present.report import write_report
 from optical_palpation.present.summary import summarise
 from optical_palpation.present.vtk import write_vtk
+from optical_palpation.present.writing import write
 
 __all__ = [
     "centre_profiles",
     "check_outputs",
     "read_result",
     "summarise",
+    "write",
     "write_boundaries_figure",
     "write_deck",
     "write_maps",

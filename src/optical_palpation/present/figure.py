@@ -409,3 +409,25 @@ def _limits(
         if numbers.size != 2 or not np.isfinite(numbers).all() or not numbers[0] < numbers[1]:
             raise InputError(f"limits: lowest and highest value, such as (-5, 0); found {pair!r}")
     return {scale: (float(low), float(high)) for scale, (low, high) in found.items()}
+
+
+def plot_map(maps: xr.Dataset, name: str, axes: Axes | None = None, **options: Any) -> Axes:
+    """Draw one map of a result into axes, those of a new pyplot figure by default.
+
+    `options` are those of :func:`draw_map`.
+
+    Raises
+    ------
+    InputError
+        If there is no such map, or an option cannot be used.
+    """
+    known = {"limits", "colours", "scale_bar", "colour_bar", "regions"}
+    if unknown := set(options) - known:
+        raise InputError(f"{', '.join(sorted(unknown))}: options are {', '.join(sorted(known))}")
+    what = _known_term(maps, name)
+    if axes is None:
+        from matplotlib import pyplot
+
+        axes = pyplot.figure(layout="constrained").subplots()
+    draw_map(axes, maps[name], what, **options)
+    return axes

@@ -11,6 +11,7 @@ import xarray as xr
 from optical_palpation.errors import InputError
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic, provenance
+from optical_palpation.present.state import GROUPS, read_state, state_groups
 from optical_palpation.volume import hdf5
 
 _MM = {"units": "mm"}
@@ -47,7 +48,8 @@ def write_result(result: StressResult, path: str | Path) -> None:
     """Write a result as a NetCDF-4 file.
 
     The maps are at the root, the deformed layer, if the result has one, in the group ``layer``
-    (in single precision, its axes named ``node_z``, ``node_y``, ``node_x`` there).
+    (in single precision, its axes named ``node_z``, ``node_y``, ``node_x`` there); what solving a
+    similar problem may start from, if the result holds that, in ``problem`` and ``state``.
     Units, signs, axis order, origin, spacing, software version and all parameters are attributes.
     The file replaces an older one only when it is complete.
 
@@ -63,6 +65,8 @@ def write_result(result: StressResult, path: str | Path) -> None:
         layer = _described(result.layer)
         groups["/layer"] = layer.rename({a: b for a, b in _NODE_AXES.items() if a in layer.dims})
         encoding["/layer"] = _compression(layer, dtype=np.float32)
+    for name, group in state_groups(result).items():
+        groups[f"/{name}"], encoding[f"/{name}"] = group, _compression(group)
     # By way of memory, because the HDF5 library can crash on a disk that fills up under it.
     content = xr.DataTree.from_dict(groups).to_netcdf(engine="h5netcdf", encoding=encoding)
     with atomic(path, "result") as temporary:
@@ -82,11 +86,12 @@ def read_result(path: str | Path) -> StressResult:
         raise InputError(f"{path}: no such file")
     try:
         with hdf5.open_file(path) as file:  # refuses what is no NetCDF-4 file, or damaged
-            has_layer = "layer" in file
+            inside = {name for name in ("layer", *GROUPS) if name in file}
         maps = xr.load_dataset(path, engine="h5netcdf", decode_times=False)
-        layer = None
-        if has_layer:
-            layer = xr.load_dataset(path, engine="h5netcdf", group="layer", decode_times=False)
+        groups = {
+            name: xr.load_dataset(path, engine="h5netcdf", group=name, decode_times=False)
+            for name in inside
+        }
     except InputError:
         raise
     except Exception as error:  # whatever the libraries make of damaged data
@@ -94,9 +99,10 @@ def read_result(path: str | Path) -> StressResult:
     if "axial_stress" not in maps:
         found = ", ".join(map(str, maps.data_vars)) or "nothing"
         raise InputError(f"{path}: holds no stress result (no variable axial_stress, but {found})")
+    layer = groups.pop("layer", None)
     if layer is not None:
         layer = layer.rename({b: a for a, b in _NODE_AXES.items() if b in layer.dims})
-    return StressResult(maps, layer)
+    return StressResult(maps, layer, **read_state(groups))
 
 
 def _described(dataset: xr.Dataset) -> xr.Dataset:

@@ -39,7 +39,7 @@ def write_template(path: str | Path) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def read_study(path: str | Path) -> Study:
+def read_study(path: str | Path, changes: Mapping[str, object] | None = None) -> Study:
     """Read and check a study file.
 
     Keys of ``[volumes]`` hold for both volumes; those of ``[unloaded]`` and ``[loaded]`` go first.
@@ -48,6 +48,8 @@ def read_study(path: str | Path) -> Study:
     ----------
     path
         TOML, as :func:`write_template` makes it. Files that it names are sought from its folder.
+    changes
+        Values to put in place of those of the file, by table and key, ``"friction.window"``.
 
     Raises
     ------
@@ -66,6 +68,56 @@ def read_study(path: str | Path) -> Study:
         raise InputError(f"{path}: is no valid TOML: {error}") from error
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: the study file cannot be read ({error})") from error
+    return make_study(changed(given, changes or {}), path)
+
+
+def changed(given: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
+    """Return tables with some values replaced; those that a change leaves alone stay.
+
+    Parameters
+    ----------
+    given
+        Tables of a study file.
+    changes
+        New values by table and key, ``"friction.window"``; ``None`` takes the key away.
+
+    Raises
+    ------
+    InputError
+        If a change goes into something that is no table.
+    """
+    result = dict(given)
+    for name, value in changes.items():
+        *tables, key = name.split(".")
+        place = result
+        for table in tables:
+            inner = place.get(table, {})
+            if not isinstance(inner, Mapping):
+                raise InputError(f"{name}: {table} is {inner!r} and no table that has keys")
+            place[table] = dict(inner)
+            place = place[table]
+        if value is None:
+            place.pop(key, None)
+        else:
+            place[key] = value
+    return result
+
+
+def make_study(given: Mapping[str, Any], file: Path) -> Study:
+    """Check the tables of a study.
+
+    Parameters
+    ----------
+    given
+        What the file says, as :mod:`tomllib` reads it.
+    file
+        The study file, from whose folder paths count.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_study`.
+    """
     common = given.get("volumes", {})
     merged = dict(given)
     for side in ("unloaded", "loaded"):
@@ -76,8 +128,8 @@ def read_study(path: str | Path) -> Study:
         study = Study.model_validate(merged)
     except ValidationError as error:
         problems = "\n".join(dict.fromkeys(f"  {line}" for line in _problems(error, given)))
-        raise InputError(f"{path}: cannot be used:\n{problems}") from None
-    study._file = path
+        raise InputError(f"{file}: cannot be used:\n{problems}") from None
+    study._file = file
     _check(study)
     return study
 

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from optical_palpation.errors import InputError
 
+_MICROMETRES = ("um", "µm", "μm", "micron", "micrometer", "micrometre")
+
 
 def thickness_map(
     values: ArrayLike,
@@ -103,6 +105,14 @@ def on_grid(thickness: xr.DataArray) -> xr.DataArray:
         )
     for axis in ("x", "y"):
         _ascending(thickness[axis].values, axis, thickness.sizes[axis], "thickness map")
+    for name, values in (("map", thickness), ("x", thickness["x"]), ("y", thickness["y"])):
+        if (unit := values.attrs.get("units", "mm")) in _MICROMETRES:
+            change = (
+                f"assign_coords({name}=(map.{name} / 1000).assign_attrs(units='mm'))"
+                if name in ("x", "y")
+                else "(map / 1000).assign_attrs(map.attrs, units='mm')"
+            )
+            raise InputError(f"thickness map: {name} is in {unit}; give mm: {change}")
     thickness = thickness.transpose("y", "x")
     if all(thickness[axis].values[0] < thickness[axis].values[-1] for axis in ("x", "y")):
         return thickness

@@ -108,7 +108,7 @@ def _check_units(loaded: xr.DataArray, loaded_median: float, initial_median: flo
     if ratio > _PLAUSIBLE_RATIO[1]:
         raise InputError(
             f"loaded and initial thickness do not fit: {numbers}. The loaded thickness is probably "
-            "in um: say length_unit 'um'"
+            "in um: divide an array by 1000; of a file, say length_unit 'um'"
         )
     if ratio < _PLAUSIBLE_RATIO[0]:
         raise InputError(

@@ -1,0 +1,433 @@
+"""A study in Python: what a study file says, as an object that can be varied and solved."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.errors import ConvergenceError, InputError, OutputError
+from optical_palpation.files import replacing
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation.result import StressResult
+from optical_palpation.present import read_result
+from optical_palpation.study.reading import changed, make_study, read_study
+from optical_palpation.study.record import Progress
+from optical_palpation.study.run import run_study
+from optical_palpation.study.schema import Study as StudyFile
+from optical_palpation.study.stages import STRESS, THICKNESS
+from optical_palpation.thickness import write_thickness_map
+
+Tell = Callable[[Any], None]
+_SIDES = ("unloaded", "loaded")
+_PATHS = ("volume", "map", "corrections")
+
+
+class Study:
+    """A study: inputs, material, friction and grid, from which the tactile stress follows.
+
+    It says what a study file says, table by table, and its results are the same to the last bit:
+    they are made by the same stages, in a temporary folder that all variants of a study share, so
+    that a boundary is found, and a thickness map is cleaned, once.
+
+    Parameters
+    ----------
+    loaded
+        The layer under load: ``{"volume": "loaded.oct"}``, ``{"map": "loaded.mat", ...}`` with the
+        keys of a study file, or a thickness map (``DataArray`` over y and x, mm).
+    unloaded
+        The layer before; likewise, or its thickness in mm.
+    material
+        :class:`~optical_palpation.material.MooneyRivlin`, or ``{"c10": ..., "c01": ...}`` in kPa.
+    friction
+        ``{"window": ..., "sample": ...}``, Coulomb's coefficients.
+    grid
+        ``{"element_size": 0.125, ...}``, or the size alone, mm.
+    tables
+        Further tables of a study file: ``volumes``, ``layer``, ``sample``, ``outputs``, and
+        ``title``.
+    folder
+        Folder from which file names count.
+
+    Raises
+    ------
+    InputError
+        Naming everything that cannot be used: table, key, value and what would be right.
+    """
+
+    def __init__(
+        self,
+        *,
+        loaded: Mapping[str, Any] | xr.DataArray,
+        unloaded: Mapping[str, Any] | xr.DataArray | float,
+        material: MooneyRivlin | Mapping[str, float],
+        friction: Mapping[str, float],
+        grid: Mapping[str, Any] | float | Sequence[float],
+        folder: str | os.PathLike[str] = ".",
+        **tables: Any,
+    ) -> None:
+        given = {
+            "loaded": loaded,
+            "unloaded": unloaded,
+            "material": material,
+            "friction": friction,
+            "grid": grid,
+            **tables,
+        }
+        self._begin(_Workspace(), given, Path(folder))
+
+    def _begin(
+        self,
+        workspace: _Workspace,
+        given: Mapping[str, Any],
+        folder: Path,
+        file: Path | None = None,
+    ) -> None:
+        self._workspace = workspace
+        self._given = {
+            name: _table(name, value, workspace, folder) for name, value in given.items()
+        }
+        self._file = file
+        self._checked = make_study(self._given, file or workspace.folder / "study")
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Study:
+        """Read a study file.
+
+        Raises
+        ------
+        InputError
+            As :func:`~optical_palpation.study.read_study`.
+        """
+        import tomllib
+
+        path = Path(path).resolve()
+        read_study(path)  # its errors are those of the file
+        study = cls.__new__(cls)
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
+        study._begin(_Workspace(), given, path.parent, path)
+        return study
+
+    def with_(self, changes: Mapping[str, Any] | None = None, **tables: Any) -> Study:
+        """Return a study that differs from this one.
+
+        Parameters
+        ----------
+        changes
+            New values by table and key: ``{"friction.window": 0.2}``.
+        tables
+            Tables, of which only the keys that are named change: ``friction={"window": 0.2}``.
+
+        Raises
+        ------
+        InputError
+            If the result is no study that can be used.
+        """
+        given: dict[str, Any] = dict(self._given)
+        for name, value in tables.items():
+            if isinstance(value, Mapping) and isinstance(given.get(name), Mapping):
+                if name in _SIDES and {"volume", "map", "thickness"} & set(value):
+                    given[name] = value  # another input, not a key of this one
+                else:
+                    given[name] = {**given[name], **value}
+            else:
+                given[name] = value
+        given = changed(given, changes or {})
+        study = type(self).__new__(type(self))
+        study._begin(self._workspace, given, Path("."))
+        return study
+
+    def __repr__(self) -> str:
+        said = []
+        for side in _SIDES:
+            it = getattr(self._checked, side)
+            what = getattr(it, "volume", None) or getattr(it, "map", None)
+            said.append(f"{side} {Path(what).name if what else f'{it.thickness:g} mm'}")
+        m, f, g = self._checked.material, self._checked.friction, self._checked.grid
+        said.append(f"c10 {m.c10:g} kPa, c01 {m.c01:g} kPa")
+        said.append(f"friction {f.window:g} (window), {f.sample:g} (sample)")
+        said.append(f"elements {g.element_size} mm")
+        return f"<Study: {'; '.join(said)}>"
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """All parameters with their defaults, by table."""
+        return self._checked.model_dump(mode="json", exclude_none=True)
+
+    def run(self, progress: Tell | None = None) -> StressResult:
+        """Compute the stress.
+
+        A study that was read from a file, or saved as one, fills its result folder, as
+        ``optical-palpation run`` does; any other leaves no file. What an earlier run has made is
+        not made again.
+
+        Parameters
+        ----------
+        progress
+            As for :func:`~optical_palpation.study.run_study`.
+
+        Raises
+        ------
+        InputError, MaterialError
+            If an input cannot be used.
+        ConvergenceError
+            If the full load is not reached.
+        """
+        done = run_study(self._runnable(), progress=progress)
+        return read_result(done.folder / STRESS)
+
+    def thickness(self, progress: Tell | None = None) -> xr.Dataset:
+        """Find the layer and return its thickness, before any mechanics.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``loaded_thickness`` and ``initial_thickness`` in mm on ``(y, x)`` without gaps, what of
+            them was ``filled`` and ``initial_filled``, and of volumes the ``quality``.
+        """
+        done = run_study(self._runnable(), thickness_only=True, progress=progress)
+        return xr.load_dataset(done.folder / THICKNESS, engine="h5netcdf")
+
+    def save(self, path: str | os.PathLike[str]) -> Study:
+        """Write the study as a file that ``optical-palpation run`` repeats, and return that study.
+
+        Maps in memory are written beside it.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
+        import tomli_w
+
+        path = Path(path).resolve()
+        if path.suffix.lower() != ".toml":
+            raise OutputError(f"{path}: the name of a study file ends in .toml")
+        given = dict(self._given)
+        for side in _SIDES:
+            it = dict(given[side])
+            for key in _PATHS:
+                if key in it:
+                    source = self._checked.path(it[key]).resolve()
+                    if source.is_relative_to(self._workspace.folder):
+                        beside = path.with_name(f"{path.stem}-{side}.nc")
+                        with replacing(beside) as temporary:
+                            temporary.write_bytes(source.read_bytes())
+                        source = beside
+                    inside = source.is_relative_to(path.parent)
+                    it[key] = str(source.relative_to(path.parent) if inside else source)
+            given[side] = it
+        motion = given.get("sample", {}).get("motion")
+        if isinstance(motion, str):
+            given["sample"] = {
+                **given["sample"],
+                "motion": str(self._checked.path(motion).resolve()),
+            }
+        with replacing(path) as temporary:
+            temporary.write_text(tomli_w.dumps(given), encoding="utf-8")
+        return type(self).read(path)
+
+    def _runnable(self) -> StudyFile:
+        """The study as a file that can be run."""
+        if self._file is not None:
+            return self._checked
+        import tomli_w
+
+        file = self._workspace.folder / "study.toml"
+        given = {**self._given, "outputs": {"folder": "results", "write": []}}
+        with replacing(file) as temporary:
+            temporary.write_text(tomli_w.dumps(given), encoding="utf-8")
+        return make_study(given, file)
+
+
+class _Workspace:
+    """A temporary folder that lives as long as a study that uses it."""
+
+    def __init__(self) -> None:
+        self._temporary = tempfile.TemporaryDirectory(prefix="optical-palpation-")
+        self.folder = Path(self._temporary.name).resolve()
+        self._maps = 0
+
+    def keep(self, field: xr.DataArray) -> Path:
+        """Write a map that was given in memory."""
+        self._maps += 1
+        path = self.folder / f"map-{self._maps}.nc"
+        write_thickness_map(field.to_dataset(name="thickness"), path)
+        return path
+
+
+def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
+    """What a study file would say, file names complete."""
+    if name in _SIDES:
+        if isinstance(value, xr.DataArray):
+            from optical_palpation.thickness.frames import on_grid
+
+            return {"map": str(workspace.keep(on_grid(value))), "variable": "thickness"}
+        if name == "unloaded" and isinstance(value, int | float) and not isinstance(value, bool):
+            return {"thickness": float(value)}
+        if not isinstance(value, Mapping):
+            number = ", or mm" if name == "unloaded" else ""
+            raise InputError(
+                f"{name}: {{'volume': file}}, {{'map': file}}, or a DataArray over y and x in mm"
+                f"{number}; not {type(value).__name__} {str(value)[:60]!r}"
+            )
+        whole = dict(value)
+        for key in _PATHS:
+            if isinstance(whole.get(key), str | os.PathLike):
+                whole[key] = str((folder / whole[key]).resolve())
+        return whole
+    if name == "material" and isinstance(value, MooneyRivlin):
+        return asdict(value)
+    if name == "grid" and not isinstance(value, Mapping):
+        return {"element_size": _plain(value)}
+    if name == "sample" and isinstance(value, Mapping):
+        motion = value.get("motion")
+        if isinstance(motion, str | os.PathLike):
+            return {**value, "motion": str((folder / motion).resolve())}
+    if name == "title":
+        return value
+    if not isinstance(value, Mapping):
+        expected = "a MooneyRivlin, or a mapping" if name == "material" else "a mapping"
+        raise InputError(
+            f"{name}: {expected} of keys to values, not {type(value).__name__} {value!r}"
+        )
+    return {key: _plain(of) for key, of in value.items()}
+
+
+def _plain(value: Any) -> Any:
+    """NumPy's numbers and arrays as TOML takes them."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, tuple):
+        return list(value)
+    return value
+
+
+def sweep(
+    study: Study,
+    parameters: Mapping[str, Sequence[Any]],
+    *,
+    progress: Tell | None = None,
+) -> xr.Dataset:
+    """Solve a study for all combinations of some parameters.
+
+    Every point is solved from the unloaded layer, since friction remembers the path of loading.
+
+    Parameters
+    ----------
+    study
+        The study to vary.
+    parameters
+        Values by table and key: ``{"friction.window": [0.1, 0.2], "material.c10": [2.0, 2.5]}``.
+    progress
+        As for :func:`~optical_palpation.study.run_study`; the stage also counts the points.
+
+    Returns
+    -------
+    xarray.Dataset
+        The maps of the result with the parameters as further dimensions, named with ``_`` for the
+        dot, ``friction_window``; over these alone ``window_force`` and ``sample_force`` (mN), and
+        ``failure``, empty, or why a point has no solution: its maps have no value. Where the
+        element size is one of the parameters, maps are interpolated to the points of the first.
+
+    Raises
+    ------
+    InputError
+        If a parameter or value cannot be used, before anything is computed; or if an input cannot.
+    ConvergenceError
+        If no point has a solution.
+    """
+    if not isinstance(study, Study):
+        raise InputError(f"study: an optical_palpation.Study, not {type(study).__name__}")
+    values: dict[str, list[Any]] = {}
+    for name, given in parameters.items():
+        if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or not len(given):
+            raise InputError(f"{name}: a list of values, at least one, not {given!r}")
+        values[name] = [_plain(value) for value in given]
+    if not values:
+        raise InputError("parameters: name at least one, such as {'friction.window': [0.1, 0.2]}")
+    points = [dict(zip(values, point, strict=True)) for point in product(*values.values())]
+    studies = [study.with_(point) for point in points]  # refuses all that is wrong, at once
+    base: xr.Dataset | None = None
+    found: list[xr.Dataset | None] = []
+    failures: list[str] = []
+    for count, variant in enumerate(studies, 1):
+
+        def tell(report: Any, count: int = count) -> None:
+            if progress:
+                stage = f"{count} of {len(studies)}: {report.stage}"
+                newton, message = report.newton, getattr(report, "message", "")
+                progress(Progress(stage, report.load, newton, message))
+
+        try:
+            maps = variant.run(tell).maps
+        except ConvergenceError as error:
+            found.append(None)
+            failures.append(str(error))
+            continue
+        failures.append("")
+        if base is None:
+            base = maps
+        found.append(_on(maps, base))
+    if base is None:
+        raise ConvergenceError(f"no point has a solution; the first: {failures[0]}")
+    return _gathered(values, found, failures, base)
+
+
+def _on(maps: xr.Dataset, base: xr.Dataset) -> xr.Dataset:
+    """Maps on the points of other ones."""
+    at = {axis: base[axis] for axis in "yx"}
+    if all(maps[axis].equals(base[axis]) for axis in "yx"):
+        return maps
+    parts = {}
+    for name, field in maps.data_vars.items():
+        if set(field.dims) == {"y", "x"}:
+            method: Any = "linear" if field.dtype.kind == "f" else "nearest"
+            parts[name] = field.astype(float).interp(at, method=method).astype(field.dtype)
+    return xr.Dataset(parts, attrs=maps.attrs)
+
+
+def _gathered(
+    values: Mapping[str, Sequence[Any]],
+    found: Sequence[xr.Dataset | None],
+    failures: Sequence[str],
+    base: xr.Dataset,
+) -> xr.Dataset:
+    dims = [name.replace(".", "_") for name in values]
+    shape = [len(v) for v in values.values()]
+    result = xr.Dataset(coords={axis: base[axis] for axis in "yx"})
+    for dim, (name, given) in zip(dims, values.items(), strict=True):
+        scalar = all(isinstance(v, int | float | str) for v in given)
+        labels = list(given) if scalar else [str(v) for v in given]
+        result = result.assign_coords({dim: (dim, labels, {"parameter": name})})
+    for key, field in base.data_vars.items():
+        if set(field.dims) != {"y", "x"}:
+            continue
+        field = field.transpose("y", "x")
+        stack = []
+        for maps in found:
+            if maps is None or key not in maps:
+                stack.append(np.full(field.shape, np.nan))
+            else:
+                stack.append(maps[key].transpose("y", "x").values)
+        data = np.array(stack).reshape(*shape, *field.shape)
+        result[key] = ((*dims, "y", "x"), data, field.attrs)
+    for side in ("window", "sample"):
+        force = f"{side}_force_mN"
+        forces = [np.nan if m is None else float(m.attrs.get(force, np.nan)) for m in found]
+        text = {"units": "mN", "long_name": f"force on the {side}"}
+        result[f"{side}_force"] = (dims, np.reshape(forces, shape), text)
+    reasons = np.array(failures, dtype=object).reshape(shape).astype(str)
+    result["failure"] = (dims, reasons, {"long_name": "why a point has no solution"})
+    result.attrs = {k: v for k, v in base.attrs.items() if k in _COMMON}
+    return result
+
+
+_COMMON = ("input", "input_sha256", "source", "source_sha256", "method", "software_version")

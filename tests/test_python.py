@@ -1,0 +1,267 @@
+"""The package as a Python user meets it: names, results, studies, sweeps, and errors that help."""
+
+import subprocess
+import sys
+
+import matplotlib
+import numpy as np
+import pytest
+import xarray as xr
+
+import optical_palpation as op
+from optical_palpation.errors import ConvergenceError, InputError, OutputError
+from optical_palpation.study import python
+
+matplotlib.use("Agg")
+X, Y = np.linspace(0, 2, 33), np.linspace(0, 1.5, 25)
+GRID = {"element_size": 0.25, "threads": 1}
+
+
+def loaded(units="mm"):
+    y, x = np.meshgrid(Y, X, indexing="ij")
+    values = 0.42 - 0.04 * np.exp(-((x - 0.7) ** 2 + (y - 0.8) ** 2) / 0.2)
+    return xr.DataArray(values, {"y": Y, "x": X}, ("y", "x"), attrs={"units": units})
+
+
+def study(**changes):
+    tables = {
+        "loaded": loaded(),
+        "unloaded": 0.5,
+        "material": op.MooneyRivlin(2.23, 0.703),
+        "friction": {"window": 0.15, "sample": 0.05},
+        "grid": GRID,
+    }
+    return op.Study(**tables | changes)
+
+
+@pytest.fixture(scope="module")
+def result():
+    return study().run()
+
+
+def test_importing_the_package_loads_none_of_it():
+    code = (
+        "import sys; import optical_palpation as op; print(op.__version__);"
+        "print([m for m in ('numpy', 'numba', 'xarray', 'matplotlib') if m in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    version, loaded_modules = out.stdout.splitlines()
+    assert version[0].isdigit()
+    assert loaded_modules == "[]"
+
+
+def test_every_public_name_is_there():
+    for name in op.__all__:
+        assert getattr(op, name) is not None
+        assert name in dir(op)
+    assert op.present.write_panel
+    with pytest.raises(AttributeError, match="nothing_of_the_kind"):
+        _ = op.nothing_of_the_kind
+
+
+def test_a_result_says_in_one_line_what_it_is(result):
+    text = repr(result)
+    assert "\n" not in text
+    assert "computational" in text
+    assert f"{result.maps.attrs['sample_force_mN']:.4g} mN" in text
+    assert len(text) < 200
+
+
+def test_a_notebook_shows_a_picture_and_words(result):
+    html = result._repr_html_()
+    assert "data:image/png;base64," in html
+    assert "total force" in html
+    assert "<script" not in html
+    bare = op.StressResult(xr.Dataset({"axial_stress": loaded() * -1}))
+    assert "img" not in bare._repr_html_()
+
+
+def test_plot_draws_into_axes_of_ones_own(result):
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    axes = figure.subplots()
+    assert result.plot("contact_pressure", ax=axes, limits=(0, 5)) is axes
+    assert axes.collections[0].get_clim() == (0, 5)
+    assert "Contact pressure (kPa)" in axes.get_title(loc="left")
+    with pytest.raises(InputError, match="known are"):
+        result.plot("strain", ax=axes)
+    with pytest.raises(InputError, match="limit: options are"):
+        result.plot("axial_stress", ax=axes, limit=(0, 1))
+
+
+def test_profile_regions_and_comparison(result):
+    along = result.profile("x")
+    assert float(along["x"][0]) == 0.0
+    assert float(along["x"][-1]) == 2.0
+    band = result.profile([(0.2, 0.2), (1.8, 1.2)], width=0.2)
+    assert band["axial_stress"].attrs["units"] == "kPa"
+    for wrong in ("z", 3, [(0, 0)]):
+        with pytest.raises(InputError, match="line"):
+            result.profile(wrong)
+    table = result.regions([op.Region.rectangle("all", -1, 3, -1, 3)], background=None)
+    inner = result.maps["axial_stress"]
+    assert float(table["mean"][0]) == pytest.approx(float(inner.mean()))
+    same = result.compare(result)
+    assert float(np.abs(same["difference"]).max()) == 0.0
+    with pytest.raises(InputError, match="other: a StressResult, not Dataset"):
+        result.compare(result.maps)
+
+
+def test_a_result_is_read_back_with_the_state_it_can_start_from(result, tmp_path):
+    result.save(tmp_path / "r.nc")
+    back = op.read_result(tmp_path / "r.nc")
+    for name in ("u", "p", "slip", "anchor", "normal_force"):
+        if hasattr(result.state, name):
+            np.testing.assert_array_equal(getattr(back.state, name), getattr(result.state, name))
+    assert back.problem.friction == result.problem.friction
+    np.testing.assert_array_equal(back.problem.grid.nodes, result.problem.grid.nodes)
+    start = {"window_friction": 0.16, "sample_friction": 0.05, "element_size": 0.25, "threads": 1}
+    inputs = loaded(), 0.5, op.MooneyRivlin(2.23, 0.703)
+    a, b = (op.computational_stress(*inputs, start=r, **start) for r in (result, back))
+    np.testing.assert_array_equal(a.maps["axial_stress"], b.maps["axial_stress"])
+
+
+def test_save_goes_by_the_ending(result, tmp_path):
+    for name in ("a.png", "a.svg", "a.vts", "a.csv", "a.inp"):
+        result.save(tmp_path / name)
+        assert (tmp_path / name).stat().st_size > 1000
+    with pytest.raises(OutputError, match=r"\.vts \(ParaView file\)"):
+        result.save(tmp_path / "a.docx")
+
+
+def test_a_study_in_python_is_the_study_of_the_file(result, tmp_path):
+    from optical_palpation.cli import main
+
+    saved = study().save(tmp_path / "study.toml")
+    assert (tmp_path / "study-loaded.nc").is_file()
+    with pytest.raises(SystemExit) as leaving:
+        main(["run", str(tmp_path / "study.toml"), "--quiet"])
+    assert leaving.value.code in (0, None)
+    of_file = op.read_result(tmp_path / "study-results" / "stress.nc")
+    for name in result.maps.data_vars:
+        np.testing.assert_array_equal(of_file.maps[name], result.maps[name], err_msg=str(name))
+    assert "0.15 (window)" in repr(saved)
+    assert op.Study.read(tmp_path / "study.toml").parameters == saved.parameters
+
+
+def test_with_changes_some_keys_and_leaves_the_study_as_it_is():
+    first = study()
+    second = first.with_(friction={"window": 0.3}, material={"c10": 3.0})
+    third = first.with_({"friction.window": 0.3, "material.c10": 3.0})
+    assert second.parameters == third.parameters
+    assert second.parameters["friction"] == {"window": 0.3, "sample": 0.05}
+    assert first.parameters["friction"]["window"] == 0.15
+    assert first.with_(unloaded=0.45).parameters["unloaded"] == {"thickness": 0.45}
+    assert first.with_({"grid.edges": None}).parameters == first.parameters
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"friction": {"windw": 0.1}}, "friction.windw.*did you mean window"),
+        ({"friction": {"window": -1}}, "friction.window"),
+        ({"material": (2.23, 0.7)}, "material: a MooneyRivlin, or a mapping"),
+        ({"material": {"c10": "soft"}}, "material.c10.*number"),
+        ({"loaded": "map.npy"}, "loaded: .*DataArray"),
+        ({"unloaded": "thin"}, "unloaded: .*or mm"),
+        ({"loaded": {"map": "nowhere.npy"}}, "there is no"),
+        ({"grid": "fine"}, "grid"),
+        ({"loaded": loaded("um")}, r"map is in um; give mm: \(map / 1000\)"),
+    ],
+)
+def test_errors_of_a_study_name_the_argument(changes, message):
+    with pytest.raises(InputError, match=message):
+        study(**changes)
+
+
+def test_advice_about_a_map_in_micrometres_can_be_taken():
+    wrong = (loaded() * 1000).assign_attrs(units="um")
+    with pytest.raises(InputError, match="give mm") as caught:
+        op.algebraic_result(wrong, 0.5, op.MooneyRivlin(2.23))
+    advice = str(caught.value).split("give mm: ")[1]
+    right = eval(advice, {"map": wrong})
+    xr.testing.assert_allclose(right, loaded())
+    assert op.algebraic_result(right, 0.5, op.MooneyRivlin(2.23))
+    wrong = loaded().assign_coords(x=("x", 1000 * X, {"units": "um"}))
+    with pytest.raises(InputError, match="x is in um") as caught:
+        op.algebraic_result(wrong, 0.5, op.MooneyRivlin(2.23))
+    right = eval("map." + str(caught.value).split("give mm: ")[1], {"map": wrong})
+    np.testing.assert_allclose(right["x"], X)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"material": (2.23, 0.7)}, "material: a MooneyRivlin"),
+        ({"window_friction": "0.1"}, "window_friction must be a number"),
+        ({"window_friction": None}, "window_friction must be a number"),
+        ({"element_size": "fine"}, "element_size must be"),
+        ({"imprint_smoothing": "a"}, "imprint_smoothing"),
+        ({"threads": "4"}, "threads must be a whole number"),
+        ({"loaded": np.ones((3, 3))}, "DataArray, not ndarray"),
+        ({"initial_thickness": [0.5]}, "number of mm or a map"),
+    ],
+)
+def test_errors_of_a_solution_name_the_argument(changes, message):
+    given = {
+        "loaded": loaded(),
+        "initial_thickness": 0.5,
+        "material": op.MooneyRivlin(2.23),
+        "window_friction": 0.1,
+        "sample_friction": 0.1,
+        "element_size": 0.25,
+    }
+    with pytest.raises(InputError, match=message):
+        op.computational_stress(**given | changes)
+
+
+def test_a_sweep_has_the_parameters_as_dimensions(result):
+    found = op.sweep(study(), {"friction.window": [0.15, 0.3], "material.c10": [2.23]})
+    assert found["axial_stress"].dims == ("friction_window", "material_c10", "y", "x")
+    point = {"friction_window": 0.15, "material_c10": 2.23}
+    np.testing.assert_array_equal(found["axial_stress"].sel(point), result.maps["axial_stress"])
+    assert float(found["window_force"].sel(point)) == result.maps.attrs["window_force_mN"]
+    forces = found["sample_force"].values.ravel()
+    assert forces[1] > forces[0]
+    assert found["friction_window"].attrs["parameter"] == "friction.window"
+    assert (found["failure"] == "").all()
+    found.to_netcdf(engine="h5netcdf")  # can be kept
+
+
+def test_a_point_without_a_solution_does_not_lose_the_others(monkeypatch, result):
+    solve = python.run_study
+
+    def sometimes(asked, **options):
+        if asked.friction.window > 0.2:
+            raise ConvergenceError("loaded to 80 % only")
+        return solve(asked, **options)
+
+    monkeypatch.setattr(python, "run_study", sometimes)
+    told = []
+    found = op.sweep(study(), {"friction.window": [0.15, 0.3]}, progress=told.append)
+    assert np.isnan(found["axial_stress"].sel(friction_window=0.3)).all()
+    assert "80 %" in str(found["failure"].sel(friction_window=0.3).values)
+    np.testing.assert_array_equal(found["axial_stress"][0], result.maps["axial_stress"])
+    assert told[0].stage.startswith("1 of 2: ")
+    with pytest.raises(ConvergenceError, match="no point"):
+        op.sweep(study(), {"friction.window": [0.3]})
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({}, "name at least one"),
+        ({"friction.window": 0.1}, "a list of values"),
+        ({"friction.window": []}, "at least one"),
+        ({"friction.wind": [0.1]}, "did you mean window"),
+        ({"friction.window": [0.1, 5]}, "friction.window"),
+        ({"title.text": [0.1]}, "title"),
+    ],
+)
+def test_a_sweep_refuses_what_it_cannot_solve_before_it_solves(parameters, message, monkeypatch):
+    monkeypatch.setattr(python, "run_study", None)
+    with pytest.raises(InputError, match=message):
+        op.sweep(study(), parameters)
+    with pytest.raises(InputError, match=r"study: an optical_palpation\.Study"):
+        op.sweep("study.toml", {"friction.window": [0.1]})
