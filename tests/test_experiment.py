@@ -1,7 +1,6 @@
 """Virtual experiments: layer on a deformable sample."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.experiment import Scene, read_scene, run_experiment, scene_names, virtual
 from optical_palpation.experiment import path as load_path
 from optical_palpation.experiment.assembly import at_rest, build
-from optical_palpation.experiment.equilibrium import LAYER, balance, newton_step
+from optical_palpation.experiment.equilibrium import LAYER
 from optical_palpation.experiment.scene import _random_field, with_element_size
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import computational_stress
@@ -241,69 +240,6 @@ def test_sinusoid_agrees_with_the_published_simulation(shared_data):
     turns = np.flatnonzero(np.diff(np.sign(np.diff(along)))) + 1
     assert turns.size >= 7
     assert np.abs(ours - theirs)[:, turns].max() < 6e-3
-
-
-def test_tangent_is_the_derivative_of_forces_contact_and_volumes():
-    """Directional derivative; friction at the interface is off, whose tangent is approximate."""
-    assembly = build(
-        scene(
-            sample__relief=RIDGES,
-            sample__stiffness=({"kind": "random", "spread": 0.5, "correlation_length": 0.3},),
-            friction={"window": 0.3, "sample": 0.0, "plate": 0.3},
-        )
-    )
-    rng = np.random.default_rng(0)
-    state = at_rest(assembly)
-    u = rng.normal(size=state.u.shape) * 1e-3
-    layer_nodes = assembly.bodies[LAYER].n_nodes
-    u[layer_nodes:, 2] -= 0.05
-    u[layer_nodes:, :2] += 0.03
-    u[:layer_nodes, 2] -= 0.01
-    state = replace(state, load=0.3).moved(
-        u,
-        tuple(rng.normal(size=p.shape) for p in state.p),
-        tuple(np.abs(rng.normal(size=force.shape)) * 0.3 for force in state.forces),
-    )
-
-    def residual(state):
-        now = balance(assembly, state, smoothing=1.0)
-        out = now.internal.copy()
-        for term in now.terms:
-            np.add.at(out, term.meeting.nodes, term.residual)
-        violation = np.concatenate([term.violation for term in now.terms])
-        volume = np.concatenate([part.volume_residual.ravel() for part in now.bodies])
-        return out, violation, volume
-
-    class Given:
-        """Stands for a linear solver: keeps the system and returns a fixed step."""
-
-        step = rng.normal(size=u.size) * 1e-3
-
-        def solve(self, matrix, rhs, similar):
-            self.left = (matrix @ self.step - rhs).reshape(-1, 3)
-            return self.step
-
-    given = Given()
-    now = balance(assembly, state, smoothing=1.0)
-    du, dp, dn = newton_step(assembly, state, now, given)
-    small = 1e-4
-
-    def at(fraction):
-        return residual(
-            state.moved(
-                state.u + fraction * du,
-                tuple(p + fraction * d for p, d in zip(state.p, dp, strict=True)),
-                tuple(n + fraction * d for n, d in zip(state.forces, dn, strict=True)),
-            )
-        )
-
-    here = residual(state)
-    derivative = [(a - b) / (2 * small) for a, b in zip(at(small), at(-small), strict=True)]
-    # what the linear system leaves is what the forces will be, to first order
-    assert np.abs(derivative[0] + here[0] - given.left).max() < 1e-5 * np.abs(given.left).max()
-    # the law of contact and incompressibility hold after any step, to first order
-    assert np.abs(derivative[1] + here[1]).max() < 1e-3 * np.abs(here[1]).max()
-    assert np.abs(derivative[2] + here[2]).max() < 1e-5 * np.abs(derivative[2]).max()
 
 
 def test_forces_of_the_interface_balance_and_so_do_their_moments():

@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 
 from optical_palpation.errors import InputError
 from optical_palpation.experiment import Scene, run_experiment
+from optical_palpation.experiment import equilibrium as stack
 from optical_palpation.experiment.assembly import at_rest, build, column_forces
 from optical_palpation.experiment.equilibrium import INTERFACE, LAYER, SAMPLE
-from optical_palpation.experiment.linear import LinearSolver
 from optical_palpation.experiment.path import StepControl, follow
 from optical_palpation.experiment.recovery import (
     recovered_stress,
@@ -188,10 +188,13 @@ def test_the_layer_alone_on_the_moving_surface_is_the_layer_of_the_experiment():
         }
     )
     assembly = build(scene)
-    with LinearSolver() as solver:
-        path = follow(
-            assembly, at_rest(assembly), column_forces(assembly), solver, control=StepControl(1.0)
-        )
+    path = follow(
+        assembly,
+        at_rest(assembly),
+        column_forces(assembly),
+        stack.make_solver(assembly),
+        control=StepControl(1.0),
+    )
     assert len(path.record) == 1
     u, p = assembly.split(path.state.u)[LAYER], path.state.p[LAYER]
     grid, pixels = assembly.bodies[LAYER].grid, np.linspace(-0.2, 2.2, 241)

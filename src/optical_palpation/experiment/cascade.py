@@ -16,9 +16,10 @@ from optical_palpation.experiment.equilibrium import (
     NotConverged,
     State,
     equilibrate,
+    make_solver,
 )
-from optical_palpation.experiment.linear import LinearSolver
 from optical_palpation.experiment.path import LoadNotReached, Path, StepControl, follow
+from optical_palpation.mechanics.stack import StackSolver
 
 Array = NDArray[np.float64]
 Report = Callable[[Assembly, float, Balance], None]
@@ -46,17 +47,17 @@ def solve(levels: list[Assembly], report: Report | None = None) -> Path:
             if report:
                 report(level, load, now)
 
-        with LinearSolver() as solver:
-            if path is not None:
-                try:
-                    path = _carried(path, levels[n - 1], level, solver, on_iteration, target)
-                    continue
-                except (NotConverged, LoadNotReached):
-                    pass
-            record = path.record if path is not None else []
-            guess = column_forces(level)
-            path = follow(level, at_rest(level), guess, solver, on_iteration, target=target)
-            path.record[:0] = record
+        solver = make_solver(level)
+        if path is not None:
+            try:
+                path = _carried(path, levels[n - 1], level, solver, on_iteration, target)
+                continue
+            except (NotConverged, LoadNotReached):
+                pass
+        record = path.record if path is not None else []
+        guess = column_forces(level)
+        path = follow(level, at_rest(level), guess, solver, on_iteration, target=target)
+        path.record[:0] = record
     assert path is not None
     return path
 
@@ -65,7 +66,7 @@ def _carried(
     path: Path,
     coarse: Assembly,
     fine: Assembly,
-    solver: LinearSolver,
+    solver: StackSolver,
     on_iteration: Callable[[float, Balance], None],
     target: float,
 ) -> Path:

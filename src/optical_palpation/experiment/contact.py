@@ -9,6 +9,7 @@ the master the slave was at.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,20 +17,22 @@ from numpy.typing import NDArray
 
 from optical_palpation.experiment.meeting import Meeting
 from optical_palpation.mechanics.contact import (
+    area_vectors,
     direction_step,
     friction_direction,
     side_penalty,
     smooth_maximum,
 )
+from optical_palpation.mechanics.stack import Interface as LinearInterface
+from optical_palpation.mechanics.stack import Surface
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
 #: Friction is remembered from load to load up to this |w|, as in ``mechanics.contact``.
 _MEMORY = 10.0
-#: A contact spring is at most this many times stiffer than the scale c of its law. What a Newton
-#: step thereby leaves of the law's violation is its inverse.
-_STIFFEST = 1e4
+#: A contact spring stiffer than this many times its scale c is a prescribed displacement.
+_STIFF = 1e3
 #: Penalty of the sides in shear moduli per element height, and the gap at which it begins, a share
 #: of that height. A node that is caught only when it touches snaps down and jams its neighbours.
 _SIDE_PENALTY, _SIDE_GAP = 8.0, 0.6
@@ -58,8 +61,9 @@ class ContactTerms:
     """A linearised contact.
 
     ``residual`` (n, q, 3): nodal forces to add to the internal ones, mN; ``violation`` (n) of the
-    law of contact, mN. A step changes N by ``spring`` d phi - ``jump``. ``sliding`` (n, 2) is the
-    friction at the present N, as a share of N, and ``slip`` (n, 2) the w of its law.
+    law of contact, mN. A step changes N by ``spring`` d phi - ``jump``, but where ``rigid`` phi
+    changes by ``step``. ``sliding`` (n, 2) is the friction at the present N, as a share of N, and
+    ``slip`` (n, 2) the w of its law.
     """
 
     meeting: Meeting
@@ -68,6 +72,8 @@ class ContactTerms:
     violation: Array
     spring: Array
     jump: Array
+    rigid: NDArray[np.bool_]
+    step: Array
     sliding: Array
     slip: Array
     friction_stiffness: Array
@@ -80,36 +86,56 @@ class ContactTerms:
         rows[:, :, :2] += meeting.weights[:, :, None] * self.sliding[:, None, :]
         return rows
 
-    def change_of_force(self, du: Array) -> Array:
-        """Change of N for a step (n_nodes, 3)."""
-        meeting = self.meeting
-        moved = np.einsum("nq,nqc->nc", meeting.weights, du[meeting.nodes])
-        return -self.spring * (moved * meeting.direction).sum(1) - self.jump
-
     def turn(self, du: Array, direction: Array, slip_length: float) -> Array:
         """Change of the direction of friction (n, 2) for a step (n_nodes, 3)."""
         return direction_step(self.slip, direction, self.state.anchor.lateral(du) / slip_length)
 
-    def blocks(self) -> list[tuple[Numbers, Numbers, Array]]:
-        """Tangent of the nodal forces: nodes (n, a) and (n, b), and blocks (n, a, b, 3, 3)."""
-        meeting = self.meeting
-        w = meeting.weights
-        normal = np.maximum(self.state.force, 0.0)[:, None, None]
-        own = np.einsum(
-            "nac,nbd->nabcd",
-            self.rows,
-            -self.spring[:, None, None] * w[:, :, None] * meeting.direction[:, None, :],
+    def surface(self, shape: tuple[int, int]) -> Surface:
+        """Return the contact as the linear solver takes it; ``shape`` is that of the slaves."""
+        push, direction = self.meeting.push, self.meeting.direction
+
+        def on_face(values: NDArray[Any]) -> NDArray[Any]:
+            return np.moveaxis(values, 0, -1).reshape(*values.shape[1:], *shape)
+
+        return Surface(
+            row=on_face((self.sliding - push[:, :2]) / push[:, 2:]),
+            column=on_face(-direction[:, :2] / direction[:, 2:]),
+            friction=on_face(self.friction_stiffness),
+            spring=on_face(self.spring * push[:, 2] * direction[:, 2]),
+            load=on_face(self.jump * push[:, 2]),
+            rigid=on_face(self.rigid),
+            step=on_face(-self.step / direction[:, 2]),
         )
-        own[..., :2, :2] += np.einsum("na,nb,ncd->nabcd", w, w, self.friction_stiffness)
-        force = normal[:, 0] * meeting.push
-        force[:, :2] -= normal[:, 0] * self.sliding
-        own[..., :2] += np.einsum("nc,nad,nb->nabcd", force, meeting.gradient, w)
-        out = [(meeting.nodes, meeting.nodes, own)]
-        if meeting.turning is not None and meeting.neighbours is not None:
-            turn = np.zeros((*w.shape, 9, 3, 3))
-            turn[..., :2, :] = np.einsum("na,nbcd->nabcd", -w * normal[:, 0], meeting.turning)
-            out.append((meeting.nodes, meeting.neighbours, turn))
-        return out
+
+    def interface(self, slaves: Numbers, master: Numbers, position: Array) -> LinearInterface:
+        """Return the contact with the surface of another body as the linear solver takes it."""
+        meeting = self.meeting
+        anchor, first = self.state.anchor, master.flat[0]
+
+        def matrix(at: Meeting, values: Array) -> sp.csr_matrix:
+            rows = np.repeat(np.arange(slaves.size), values.shape[1])
+            entries = values.ravel(), (rows, at.nodes[:, 1:].ravel() - first)
+            return sp.csr_matrix(entries, shape=(slaves.size, master.size))
+
+        normal = np.maximum(self.state.force, 0.0)[:, None]
+        force = normal * meeting.push
+        force[:, :2] -= normal * self.sliding
+        area = area_vectors(np.moveaxis(position[master], -1, 0))
+        assert meeting.turning is not None
+        assert meeting.neighbours is not None
+        return LinearInterface(
+            surface=self.surface(slaves.shape),
+            weights=matrix(meeting, -meeting.weights[:, 1:]),
+            gradient=(
+                matrix(meeting, meeting.gradient[:, 1:, 0]),
+                matrix(meeting, meeting.gradient[:, 1:, 1]),
+            ),
+            reference=matrix(anchor, -anchor.weights[:, 1:]),
+            force=force,
+            turning=normal[:, :, None, None] * meeting.turning,
+            neighbours=meeting.neighbours - slaves.flat[0],
+            slope=-area[:2] / area[2],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +175,8 @@ def linearise(
     value, other = smooth_maximum(t, smoothing)
     slope = 1 - other
     violation = normal - value
-    other = np.maximum(other, 1 / _STIFFEST)
+    rigid = slope > _STIFF * other
+    other = np.where(rigid, 1.0, other)
 
     w = friction_memory(state, position, slip_length)
     q = np.sqrt(1 + (w**2).sum(1))
@@ -162,8 +189,10 @@ def linearise(
         state=state,
         residual=np.empty(0),
         violation=violation,
-        spring=slope * scale / other,
-        jump=violation / other,
+        spring=np.where(rigid, 0.0, slope * scale / other),
+        jump=np.where(rigid, 0.0, violation / other),
+        rigid=rigid,
+        step=np.where(rigid, violation / (np.where(rigid, slope, 1.0) * scale), 0.0),
         sliding=friction * s,
         slip=w,
         friction_stiffness=stiff[:, None, None] * (np.eye(2) - turned),
@@ -190,26 +219,3 @@ def remembered(
     w = w * np.minimum(1.0, _MEMORY / np.maximum(size, 1e-300))
     w = np.where(touching(meeting, state, scale)[:, None], w, 0.0)
     return ContactState(state.force, w, meeting, meeting.lateral(position))
-
-
-def assembled(terms: list[ContactTerms], n_nodes: int) -> tuple[sp.bsr_matrix, Array]:
-    """Tangent and forces (n_nodes, 3) of contacts; forces are those after the jump of N."""
-    force = np.zeros((n_nodes, 3))
-    rows, columns, blocks = [], [], []
-    for term in terms:
-        nodes = term.meeting.nodes
-        np.add.at(force, nodes, term.residual - term.rows * term.jump[:, None, None])
-        for left, right, block in term.blocks():
-            rows.append(np.repeat(left, right.shape[1], axis=1).ravel())
-            columns.append(np.tile(right, left.shape[1]).ravel())
-            blocks.append(block.reshape(-1, 9))
-    keys, place = np.unique(
-        np.concatenate(rows) * n_nodes + np.concatenate(columns), return_inverse=True
-    )
-    gather = sp.csr_matrix(
-        (np.ones(place.size), (place, np.arange(place.size))), shape=(keys.size, place.size)
-    )
-    data = (gather @ np.concatenate(blocks)).reshape(-1, 3, 3)
-    starts = np.searchsorted(keys, n_nodes * np.arange(n_nodes + 1))
-    matrix = sp.bsr_matrix((data, keys % n_nodes, starts), shape=(3 * n_nodes, 3 * n_nodes))
-    return matrix, force

@@ -6,35 +6,39 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from optical_palpation.experiment.bodies import condensed_tangent
 from optical_palpation.experiment.contact import (
     ContactState,
     ContactTerms,
     Sides,
-    assembled,
     linearise,
 )
-from optical_palpation.experiment.linear import LinearSolver
 from optical_palpation.experiment.meeting import Interface, Meeting, Plane
 from optical_palpation.mechanics.body import Body, ElementForces
 from optical_palpation.mechanics.contact import friction_direction
 from optical_palpation.mechanics.grid import LayerGrid
+from optical_palpation.mechanics.stack import BodyEquations, StackEquations, StackSolver
 
 Array = NDArray[np.float64]
 LAYER, SAMPLE = 0, 1
 WINDOW, INTERFACE, PLATE = 0, 1, 2
 
-#: Smoothing of contact, as a pressure in units of the shear modulus: at first, and in the end.
-_SMOOTHING = (3e-2, 1e-3)
+#: Smoothing of contact, as a pressure in units of the shear modulus.
+_SMOOTHING = 1e-3
 #: When the full load is reached: out-of-balance forces relative to contact forces, violation of
 #: J - 1. Loads on the way to it are reached sooner by ``_ON_THE_WAY``.
 _FORCE, _VOLUME = 1e-5, 1e-6
 _ON_THE_WAY = 30.0
-#: Out-of-balance forces below which the tangent hardly changes any more.
-_NEAR = 3e-3
+#: Relative residual to which linear systems are solved.
+_LINEAR = 1e-2
+#: A step must leave less out of balance than the most of so many iterations.
+_MEMORY = 4
+#: Least damping of a step that otherwise fails, in shear moduli per height of the stack squared,
+#: and how often a step is tried.
+_DAMPING, _ATTEMPTS = 30.0, 6
+#: Share of its smallest volume ratio that the assembly must keep in a step.
+_FLATTENING = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,12 +136,15 @@ class NotConverged(Exception):
 class Balance:
     """Internal forces and contact of a state, and how far it is from equilibrium.
 
-    ``internal`` (n_nodes, 3) includes the contact of the sides.
+    ``residual`` (n_nodes, 3) are the nodal forces out of balance, mN, ``imbalance`` the 2-norm of
+    these and of the violations of the laws of contact, mN; ``force_error`` its share of the contact
+    forces.
     """
 
     bodies: list[ElementForces]
     terms: list[ContactTerms]
-    internal: Array
+    residual: Array
+    imbalance: float
     force_error: float
     volume_error: float
     min_jacobian: float
@@ -146,7 +153,7 @@ class Balance:
 def balance(
     assembly: Assembly,
     state: State,
-    smoothing: float = _SMOOTHING[1],
+    smoothing: float = _SMOOTHING,
     directions: Sequence[Array] | None = None,
 ) -> Balance:
     """Evaluate equilibrium, incompressibility and contact of a state (see ``linearise``)."""
@@ -154,7 +161,6 @@ def balance(
         body.forces(u, p)
         for body, u, p in zip(assembly.bodies, assembly.split(state.u), state.p, strict=True)
     ]
-    internal = np.concatenate([part.force.reshape(3, -1).T for part in parts])
     position = assembly.position(state.u)
     terms = [
         linearise(
@@ -177,113 +183,84 @@ def balance(
             strict=True,
         )
     ]
-    internal[assembly.sides.nodes, 2] -= assembly.sides.force(position)[0]
-    out = internal.copy()
+    out = np.concatenate([part.force.reshape(3, -1).T for part in parts])
+    out[assembly.sides.nodes, 2] -= assembly.sides.force(position)[0]
     for term in terms:
         np.add.at(out, term.meeting.nodes, term.residual)
     scale = max(float(np.linalg.norm(np.concatenate(state.forces))), 1e-30)
     violation = np.linalg.norm(np.concatenate([term.violation for term in terms]))
+    imbalance = float(np.hypot(np.linalg.norm(out), violation))
     volume = np.concatenate(
         [(part.volume_residual / part.reference_volume).ravel() for part in parts]
     )
     return Balance(
         bodies=parts,
         terms=terms,
-        internal=internal,
-        force_error=float(np.hypot(np.linalg.norm(out), violation)) / scale,
+        residual=out,
+        imbalance=imbalance,
+        force_error=imbalance / scale,
         volume_error=float(np.sqrt(np.mean(volume**2))),
         min_jacobian=min(part.min_jacobian for part in parts),
     )
 
 
 def newton_step(
-    assembly: Assembly, state: State, now: Balance, solver: LinearSolver
-) -> tuple[Array, list[Array], list[Array]]:
-    """Changes of displacement, pressures and contact forces."""
-    contact, force = assembled(now.terms, assembly.n_nodes)
-    blocks, divergences, lifted = [], [], []
-    for body, part, u, p in zip(
-        assembly.bodies, now.bodies, assembly.split(state.u), state.p, strict=True
-    ):
-        tangent, divergence = condensed_tangent(body, u, p)
-        blocks.append(tangent)
-        divergences.append(divergence)
-        bulk = body.bulk_modulus / part.reference_volume
-        lifted.append(bulk)
-        extra = _scatter(divergence, bulk * part.volume_residual)
-        start = 0 if body is assembly.bodies[LAYER] else assembly.bodies[LAYER].n_nodes
-        force[start : start + body.n_nodes] += extra.reshape(3, -1).T
-    residual = now.internal + force
+    assembly: Assembly, state: State, now: Balance, solver: StackSolver, damping: float = 0.0
+) -> tuple[Array, list[Array], list[Array], int]:
+    """Changes of displacement, pressures and contact forces, and the Krylov iterations.
+
+    ``damping``, kPa / mm^2, is a resistance of each volume of a stiffness factor of 1 to being
+    displaced by the step, in the tangent alone.
+    """
     # a trace of stiffness in the tangent alone holds what nothing else holds yet
-    hold = 1e-6 * assembly.shear_modulus * assembly.bodies[LAYER].grid.spacing[2]
+    hold = 1e-4 * assembly.shear_modulus * assembly.bodies[LAYER].grid.spacing[2]
     held = np.full((assembly.n_nodes, 3), hold)
     held[assembly.sides.nodes, 2] += assembly.sides.force(assembly.position(state.u))[1]
-    matrix = _stacked(blocks) + contact + _diagonal(held)
-    du = solver.solve(matrix, -residual.ravel(), now.force_error < _NEAR).reshape(-1, 3)
-    dp = [
-        bulk * (_gather(divergence, u) + part.volume_residual)
-        for bulk, divergence, u, part in zip(
-            lifted, divergences, assembly.split(du), now.bodies, strict=True
-        )
-    ]
-    return du, dp, [term.change_of_force(du) for term in now.terms]
-
-
-def _stacked(blocks: list[sp.bsr_matrix]) -> sp.bsr_matrix:
-    """Block-diagonal matrix of two."""
-    first, second = blocks
-    n = first.indptr.size - 1
-    parts = (
-        np.concatenate([first.data, second.data]),
-        np.concatenate([first.indices, second.indices + n]),
-        np.concatenate([first.indptr, second.indptr[1:] + first.indptr[-1]]),
+    if damping > 0:
+        volumes = [body.grid.node_volumes.ravel() for body in assembly.bodies]
+        held += damping * np.concatenate(volumes)[:, None]
+    parts = zip(
+        assembly.split(state.u),
+        state.p,
+        assembly.split(now.residual),
+        assembly.split(held),
+        now.bodies,
+        strict=True,
     )
-    size = first.shape[0] + second.shape[0]
-    return sp.bsr_matrix(parts, shape=(size, size))
-
-
-def _diagonal(values: Array) -> sp.bsr_matrix:
-    """Diagonal matrix of values (n, 3)."""
-    n = len(values)
-    blocks = values[:, :, None] * np.eye(3)
-    return sp.bsr_matrix((blocks, np.arange(n), np.arange(n + 1)), shape=(3 * n, 3 * n))
-
-
-def _corners(divergence: Array) -> list[tuple[int, tuple[slice, slice, slice]]]:
-    nz, ny, nx = divergence.shape[0], divergence.shape[1], divergence.shape[3]
-    return [
-        (
-            a,
-            (
-                slice(a >> 2, (a >> 2) + nz),
-                slice((a >> 1) & 1, ((a >> 1) & 1) + ny),
-                slice(a & 1, (a & 1) + nx),
-            ),
-        )
-        for a in range(8)
-    ]
-
-
-def _gather(divergence: Array, u: Array) -> Array:
-    """Volume change of each element."""
-    return sum(
-        (divergence[:, :, 3 * a + c] * u[c][at]) for a, at in _corners(divergence) for c in range(3)
+    layer, sample = (
+        BodyEquations(u, p, residual, diagonal, part.volume_residual, part.reference_volume)
+        for u, p, residual, diagonal, part in parts
     )
+    window, interface, plate = now.terms
+    _, contact, _ = assembly.contacts
+    equations = StackEquations(
+        bodies=(layer, sample),
+        outer=(
+            window.surface(assembly.slave_grids[WINDOW].node_shape[1:]),
+            plate.surface(assembly.slave_grids[PLATE].node_shape[1:]),
+        ),
+        interface=interface.interface(contact.slaves, contact.master, assembly.position(state.u)),
+    )
+    step = solver.solve(equations, _LINEAR)
+    changes = [
+        reaction.ravel() / term.meeting.push[:, 2]
+        for reaction, term in zip(step.reactions, now.terms, strict=True)
+    ]
+    du = np.concatenate([part.reshape(3, -1).T for part in step.displacement])
+    return du, step.pressure, changes, step.iterations
 
 
-def _scatter(divergence: Array, p: Array) -> Array:
-    """Nodal forces (3, ...) of element pressures."""
-    out = np.zeros((3, *(n + 1 for n in p.shape)))
-    for a, at in _corners(divergence):
-        for c in range(3):
-            out[c][at] += divergence[:, :, 3 * a + c] * p
-    return out
+def make_solver(assembly: Assembly) -> StackSolver:
+    """Return a linear solver for an assembly."""
+    _, interface, _ = assembly.contacts
+    slave = LAYER if interface.side < 0 else SAMPLE
+    return StackSolver(assembly.bodies, slave)
 
 
 def equilibrate(
     assembly: Assembly,
     state: State,
-    solver: LinearSolver,
+    solver: StackSolver,
     on_iteration: Callable[[float, Balance], None] | None = None,
     iterations: int = 25,
 ) -> tuple[State, int]:
@@ -294,49 +271,76 @@ def equilibrate(
     NotConverged
         When the iterations run out, an element turns inside out or numbers overflow.
     """
-    first = not any(contact.memory.any() for contact in state.contacts)
-    smoothing = _SMOOTHING[0 if first else 1]
     enough = 1.0 if state.load == 1.0 else _ON_THE_WAY
     directions = [friction_direction(contact.memory) for contact in state.contacts]
-    now = balance(assembly, state, smoothing, directions)
+    now = balance(assembly, state, directions=directions)
+    imbalances: list[float] = []
+    least = _DAMPING * assembly.shear_modulus / assembly.plate**2
+    damping = 0.0
     for iteration in range(iterations):
         if on_iteration:
             on_iteration(state.load, now)
+        imbalances.append(now.imbalance)
         if (
             iteration > 0
-            and smoothing == _SMOOTHING[1]
             and now.force_error < enough * _FORCE
             and now.volume_error < enough * _VOLUME
         ):
             return state, iteration
-        du, dp, dn = newton_step(assembly, state, now, solver)
-        if not np.isfinite(du).all():
-            raise NotConverged("the linear system could not be solved")
-        turns = [
-            term.turn(du, direction, assembly.slip_length)
-            for term, direction in zip(now.terms, directions, strict=True)
-        ]
-        best: tuple[Balance, State, list[Array]] | None = None
-        for fraction in (1.0, 0.5, 0.25, 0.125):
-            trial = state.moved(
-                state.u + fraction * du,
-                tuple(p + fraction * d for p, d in zip(state.p, dp, strict=True)),
-                tuple(n + fraction * d for n, d in zip(state.forces, dn, strict=True)),
-            )
-            turned = [d + fraction * turn for d, turn in zip(directions, turns, strict=True)]
-            turned = [d / np.maximum(1.0, np.linalg.norm(d, axis=1)[:, None]) for d in turned]
-            after = balance(assembly, trial, smoothing, turned)
-            if after.min_jacobian < 0.02 or not np.isfinite(after.force_error):
-                continue
-            if best is None or after.force_error < best[0].force_error:
-                best = after, trial, turned
-            # the first step crosses the new load: it may leave more out of balance than it found
-            if iteration == 0 or after.force_error < (1 - 0.3 * fraction) * now.force_error:
+        for _ in range(_ATTEMPTS):
+            step = newton_step(assembly, state, now, solver, damping)
+            if not np.isfinite(step[0]).all():
+                raise NotConverged("the linear system could not be solved")
+            # The first step crosses the new load and a damped one a snap: both may leave more out
+            # of balance than they found.
+            growth = 2.0 if iteration == 0 or damping > 0 else None
+            highest = max(imbalances[-_MEMORY:])
+            found = _search(assembly, state, now, directions, step, highest, growth)
+            if found is not None:
                 break
-        if best is None:
-            raise NotConverged("an element turned inside out")
-        now, state, directions = best
-        if now.force_error < 0.3 * smoothing and smoothing > _SMOOTHING[1]:
-            smoothing = max(_SMOOTHING[1], 0.2 * smoothing)
-            now = balance(assembly, state, smoothing, directions)
+            damping = max(least, 5.0 * damping)
+        else:
+            raise NotConverged("no step leads nearer to equilibrium")
+        after, state, directions = found
+        damping *= 0.5 * min(1.0, after.imbalance / now.imbalance)
+        if damping < 0.1 * least:
+            damping = 0.0
+        now = after
     raise NotConverged(f"no convergence in {iterations} Newton iterations")
+
+
+def _search(
+    assembly: Assembly,
+    state: State,
+    now: Balance,
+    directions: Sequence[Array],
+    step: tuple[Array, list[Array], list[Array], int],
+    highest: float,
+    growth: float | None,
+) -> tuple[Balance, State, list[Array]] | None:
+    """Take the largest fraction of a Newton step that leads on; None if there is none.
+
+    What it leaves out of balance must be less than ``highest`` times ``growth``, or, by default,
+    less than ``highest``, the more so the larger the fraction.
+    """
+    du, dp, dn, _ = step
+    turns = [
+        term.turn(du, direction, assembly.slip_length)
+        for term, direction in zip(now.terms, directions, strict=True)
+    ]
+    for fraction in (1.0, 0.5, 0.25, 0.125):
+        trial = state.moved(
+            state.u + fraction * du,
+            tuple(p + fraction * d for p, d in zip(state.p, dp, strict=True)),
+            tuple(n + fraction * d for n, d in zip(state.forces, dn, strict=True)),
+        )
+        turned = [d + fraction * turn for d, turn in zip(directions, turns, strict=True)]
+        turned = [d / np.maximum(1.0, np.linalg.norm(d, axis=1)[:, None]) for d in turned]
+        after = balance(assembly, trial, directions=turned)
+        allowed = growth or 1 - 0.3 * fraction
+        if (
+            after.min_jacobian > _FLATTENING * now.min_jacobian
+            and after.imbalance < allowed * highest
+        ):
+            return after, trial, turned
+    return None

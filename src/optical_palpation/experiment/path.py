@@ -17,7 +17,7 @@ from optical_palpation.experiment.equilibrium import (
     State,
     equilibrate,
 )
-from optical_palpation.experiment.linear import LinearSolver
+from optical_palpation.mechanics.stack import StackSolver
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def follow(
     assembly: Assembly,
     start: State,
     guess: tuple[Array, ...],
-    solver: LinearSolver,
+    solver: StackSolver,
     on_iteration: Callable[[float, Balance], None] | None = None,
     control: StepControl | None = None,
     before: State | None = None,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 
 import xarray as xr
@@ -108,8 +107,6 @@ def run_experiment(
         if not _coarser(scene, factor):
             break
         levels.insert(0, build(scene, coarsening=factor, relief=relief, stiffness=stiffness))
-    with suppress(ImportError):
-        import pypardiso  # noqa: F401  # loaded first, so that it is held to the threads too
     try:
         with limited_threads(threads):
             path = solve(levels, report)

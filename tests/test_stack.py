@@ -1,0 +1,109 @@
+"""The linear solver of two bodies in contact, on the systems of small virtual experiments."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optical_palpation.experiment import Scene
+from optical_palpation.experiment.assembly import at_rest, build, column_forces
+from optical_palpation.experiment.equilibrium import (
+    INTERFACE,
+    LAYER,
+    balance,
+    make_solver,
+    newton_step,
+)
+from optical_palpation.experiment.path import follow
+from optical_palpation.mechanics import stack
+
+SCENE = {
+    "compression": 0.2,
+    "layer": {"size": (1.5, 1.5), "thickness": 0.5},
+    "sample": {
+        "size": (1.5, 1.5),
+        "thickness": 0.8,
+        "relief": ({"kind": "sinusoid", "amplitude": 0.04, "wavelength": 1.1, "direction": 30.0},),
+        "stiffness": ({"kind": "random", "spread": 0.5, "correlation_length": 0.4},),
+    },
+    "friction": {"window": 0.3, "sample": 0.3, "plate": 0.2},
+    "mesh": {"element_size": 0.25, "layer_elements": 2},
+}
+
+
+def pressed(**sample):
+    """An assembly and its state near equilibrium at 40 % of the load, friction in all its range."""
+    assembly = build(Scene.model_validate(SCENE | {"sample": SCENE["sample"] | sample}))
+    path = follow(
+        assembly, at_rest(assembly), column_forces(assembly), make_solver(assembly), target=0.4
+    )
+    # sliding that is neither none nor all, so that friction depends on it
+    assembly = replace(assembly, slip_length=0.02)
+    rng = np.random.default_rng(0)
+    state = path.state
+    u = state.u + 2e-3 * rng.normal(size=state.u.shape)
+    u[: assembly.bodies[LAYER].n_nodes, 0] += 0.01
+    forces = tuple(force * (1 + 0.1 * rng.normal(size=force.shape)) for force in state.forces)
+    return assembly, state.moved(u, state.p, forces)
+
+
+def residuals(assembly, state):
+    now = balance(assembly, state)
+    violation = np.concatenate([term.violation for term in now.terms])
+    volume = np.concatenate([part.volume_residual.ravel() for part in now.bodies])
+    return now.residual, violation, volume
+
+
+class Exact:
+    """The solver, to as small a residual as single precision allows."""
+
+    def __init__(self, solver):
+        self.solver = solver
+
+    def solve(self, equations, tolerance):
+        return self.solver.solve(equations, 3e-6)
+
+
+@pytest.mark.parametrize(
+    "sample",
+    [{}, {"size": (2.2, 1.5)}, {"size": (1.0, 1.0)}],
+    ids=["equal", "larger sample", "smaller sample"],
+)
+def test_step_is_that_of_the_derivative_of_all_residuals(sample, monkeypatch):
+    """Along a Newton step every residual falls in proportion: friction, follower loads, sliding."""
+    monkeypatch.setattr(stack, "_LONGEST", 150)
+    assembly, state = pressed(**sample)
+    now = balance(assembly, state)
+    assert (np.abs(now.terms[INTERFACE].slip) > 0.3).any()
+    du, dp, dn, _ = newton_step(assembly, state, now, Exact(make_solver(assembly)))
+
+    def at(fraction):
+        moved = state.moved(
+            state.u + fraction * du,
+            tuple(p + fraction * d for p, d in zip(state.p, dp, strict=True)),
+            tuple(n + fraction * d for n, d in zip(state.forces, dn, strict=True)),
+        )
+        return residuals(assembly, moved)
+
+    small = 1e-4
+    for here, up, down, limit in zip(
+        residuals(assembly, state), at(small), at(-small), (2e-4, 2e-3, 2e-4), strict=True
+    ):
+        derivative = (up - down) / (2 * small)
+        assert np.linalg.norm(derivative + here) < limit * np.linalg.norm(here)
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
+def test_few_iterations_whatever_the_stiffness(factor):
+    assembly, state = pressed(stiffness=({"kind": "box", "factor": factor},))
+    now = balance(assembly, state)
+    *_, iterations = newton_step(assembly, state, now, make_solver(assembly))
+    assert iterations <= 12
+
+
+def test_grids_that_do_not_fit_are_refused():
+    assembly = build(Scene.model_validate(SCENE))
+    layer, sample = assembly.bodies
+    other = replace(layer, grid=replace(layer.grid, x=1.01 * layer.grid.x))
+    with pytest.raises(ValueError, match="lateral nodes"):
+        stack.StackSolver((other, sample), LAYER)
