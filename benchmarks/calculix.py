@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from optical_palpation.errors import InputError
+from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths, node_positions
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.problem import LayerProblem
@@ -104,9 +105,7 @@ def sinusoid(
     grid = LayerGrid(nodes, nodes, graded_depths(deep), np.full((nodes.size,) * 2, thickness))
     imprint = Imprint(x, y, np.full_like(loaded, thickness), loaded)
     c10, c01 = 2.23, 0.703
-    return LayerProblem(
-        grid, imprint, c10, c01, bulk_to_shear * 2 * (c10 + c01), friction=(0.3, 0.05)
-    )
+    return LayerProblem(grid, imprint, MooneyRivlin(c10, c01, bulk_to_shear), friction=(0.3, 0.05))
 
 
 def main() -> None:

@@ -82,7 +82,7 @@ def test_result_holds_the_stress_what_touches_and_what_it_came_from():
     expected = [ContactState.SLIP, ContactState.SLIP, ContactState.OPEN, ContactState.OPEN]
     assert result.maps["contact_state"].values.tolist() == [expected, expected]
     assert result.layer is None
-    about = {"method": "algebraic", "c10_kPa": 2.23, "c01_kPa": 0.703}
+    about = {"method": "algebraic", "law": "mooney-rivlin", "c10_kPa": 2.23, "c01_kPa": 0.703}
     about |= {"initial_thickness_mm": 0.5, "no_contact_share": 0.5}
     assert result.maps.attrs == about
 

@@ -80,9 +80,8 @@ def test_every_grid_leads_down_to_a_small_one(count, depth, field, edges):
     layer = LayerGrid(nodes, nodes, graded_depths(depth), np.full((count + 1, count + 1), 0.5))
     pixels = np.linspace(0, field, 9)
     flat = np.full((9, 9), 0.5)
-    problem = LayerProblem(
-        layer, Imprint(pixels, pixels, flat, 0.9 * flat), 2.2, 0.7, 6e4, (0.1, 0.1), edges=edges
-    )
+    imprint = Imprint(pixels, pixels, flat, 0.9 * flat)
+    problem = LayerProblem(layer, imprint, MooneyRivlin(2.2, 0.7), (0.1, 0.1), edges=edges)
     levels = grids(problem)
     counts = [level.grid.n_elements for level in levels]
     assert counts == sorted(counts, reverse=True)

@@ -48,6 +48,38 @@ def test_algebraic_method_end_to_end(here, run):
     assert f"mean {float(expected.mean()):.3f} kPa" in out
 
 
+@pytest.mark.parametrize("law", ["yeoh", "ogden"])
+def test_what_material_fits_stress_takes(here, run, law):
+    truth = MooneyRivlin(2.23, 0.703)
+    strain = np.linspace(0.0, 0.5, 100)
+    table = np.column_stack([-strain, truth.uniaxial_stress(-strain)])
+    np.savetxt("test.csv", table, delimiter=",", header="strain,stress_kPa", comments="")
+    status, out, _ = run("material", "test.csv", "--contact", "0", "--law", law)
+    assert status == 0
+    options = out.split("for the layer: ")[1].split("\n")[0].split()
+    assert options[:2] == ["--law", law]
+    frame = ["map.npy", *FRAME, "--initial-thickness", "0.5"]
+    method = [*FRICTION, "--element-size", "0.25"] if law == "yeoh" else ["--method", "algebraic"]
+    for name, arguments in (("o.nc", options), ("p.nc", ["--c10", "2.23", "--c01", "0.703"])):
+        assert run("stress", *frame, *arguments, *method, "--output", name)[0] == 0
+    same, expected = (xr.open_dataset(name, engine="h5netcdf") for name in ("o.nc", "p.nc"))
+    assert same.attrs["law"] == law
+    assert "c20_kPa" in same.attrs or "alpha" in same.attrs
+    # both laws follow the same curve, so that they are stressed alike
+    assert float(same["axial_stress"].min()) == pytest.approx(
+        float(expected["axial_stress"].min()), rel=0.05
+    )
+
+
+def test_the_computational_method_refuses_a_law_that_the_solver_does_not_take(here, run):
+    law = ["--initial-thickness", "0.5", "--law", "ogden", "--mu", "5.9", "--alpha", "3"]
+    arguments = [*law, *FRICTION, "--element-size", "0.25", "--output", "o.nc"]
+    status, _, err = run("stress", "map.npy", *FRAME, *arguments)
+    assert status == 2
+    assert "not ogden" in err
+    assert not (here / "o.nc").exists()
+
+
 def test_computational_method_end_to_end(here, run):
     files = ["--output", "o.nc", "--plot", "o.png", "--profiles", "o.csv", "--vtk", "o.vts"]
     files += ["--deck", "o.inp"]
@@ -264,6 +296,9 @@ NO_MAP = ["--output", "o.nc", *FRAME, *ALGEBRAIC]
         (["map.npy", *NO_MAP, "--c10", "nan"], "nan"),
         (["map.npy", *NO_MAP, "--c10", "thick"], "--c10"),
         (["map.npy", *NO_MAP, "--bulk-to-shear", "-3"], "bulk"),
+        (["map.npy", *NO_MAP, "--law", "hooke"], "hooke"),
+        (["map.npy", *NO_MAP, "--c20", "0.1"], "c20 belongs to another law"),
+        (["map.npy", *NO_MAP, "--law", "ogden", "--mu", "5"], "alpha is missing"),
         (["map.npy", *NO_MAP, "--method", "magic"], "magic"),
         (["map.npy", *NO_MAP, "--vtk", "o.vts"], "--vtk"),
         (["map.npy", *NO_MAP, "--plot", "o.bmp"], "o.bmp"),

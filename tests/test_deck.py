@@ -9,6 +9,7 @@ import pytest
 
 from calculix import CalculixResult, calculix_installed, run_calculix
 from optical_palpation.errors import InputError, OutputError
+from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.cascade import solve
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths, node_positions
 from optical_palpation.mechanics.imprint import Imprint
@@ -32,9 +33,7 @@ def bump(lateral: int, deep: int, **changes) -> LayerProblem:
     problem = LayerProblem(
         grid=LayerGrid(nodes, nodes, graded_depths(deep), thickness),
         imprint=Imprint(pixels, pixels, np.full_like(loaded, 0.5), loaded),
-        c10=2.23,
-        c01=0.703,
-        bulk_modulus=586.6,
+        law=MooneyRivlin(2.23, 0.703, 100.0),
         friction=(0.2, 0.1),
     )
     return replace(problem, **changes)

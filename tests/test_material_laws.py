@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from optical_palpation.errors import InputError, MaterialError
-from optical_palpation.material import MooneyRivlin, neo_hookean, stable_stretches
+from optical_palpation.material import (
+    MooneyRivlin,
+    NeoHookean,
+    Ogden,
+    Yeoh,
+    make_law,
+    neo_hookean,
+    stable_stretches,
+)
 
 COEFFICIENTS = st.floats(0.01, 1e3)
 STRAINS = st.floats(-0.9, 2.0)
@@ -54,7 +62,7 @@ def test_paper_material_by_hand():
     assert material.uniaxial_stress(-0.5) == pytest.approx(-25.452)
     # The apparent modulus grows with compression (section 3).
     assert np.all(np.diff(material.strain_adjusted_modulus(-np.linspace(0, 0.9, 50))) > 0)
-    assert neo_hookean(2.933) == MooneyRivlin(2.933, 0.0)
+    assert neo_hookean(2.933) == NeoHookean(2.933)
 
 
 def test_published_curves_of_silicones(shared_data):
@@ -177,3 +185,87 @@ def test_shapes_missing_values_and_unknown_measure():
     assert stress[0, 0] == 0
     with pytest.raises(InputError, match="nominal"):
         MooneyRivlin(1.0).uniaxial_stress(0.1, "nominal")
+
+
+def log_energy(law, logs):
+    """Energy of the incompressible law at principal log strains, from its definition."""
+    squares = np.exp(2 * np.asarray(logs))
+    if isinstance(law, Ogden):
+        powers = np.exp(law.alpha * np.asarray(logs)).sum()
+        return 2 * law.mu / law.alpha**2 * (powers - 3)
+    return float(law.energy(squares.sum(), (1 / squares).sum()))
+
+
+@given(
+    law=st.one_of(
+        st.builds(Yeoh.unchecked, st.just(1.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1)),
+        st.builds(Ogden.unchecked, st.just(1.0), st.floats(0.5, 9) | st.floats(-9, -0.5)),
+        st.builds(MooneyRivlin.unchecked, st.just(1.0), st.floats(-0.9, 1)),
+    ),
+    log_stretch=st.floats(-1.0, 1.0),
+    planar=st.booleans(),
+)
+def test_law_is_stable_where_its_energy_is_convex_in_log_strains(law, log_stretch, planar):
+    a, b, h = log_stretch, 0.0 if planar else -0.5 * log_stretch, 1e-3
+
+    def at(d1, d2):
+        return log_energy(law, [a + d1, b + d2, -a - b - d1 - d2])
+
+    along = at(h, 0) - 2 * at(0, 0) + at(-h, 0)
+    across = at(0, h) - 2 * at(0, 0) + at(0, -h)
+    mixed = 0.25 * (at(h, h) - at(h, -h) - at(-h, h) + at(-h, -h))
+    least = np.linalg.eigvalsh([[along, mixed], [mixed, across]])[0] / h**2
+    low, high = law.stable_stretches("planar" if planar else "uniaxial")
+    stretch = np.exp(log_stretch)
+    if low * 1.001 < stretch < high / 1.001:
+        assert least > -1e-4 * law.shear_modulus
+    elif low / 1.05 < stretch < low / 1.001 or high * 1.001 < stretch < high * 1.05:
+        assert least < 1e-4 * law.shear_modulus  # just outside; further out it may be stable again
+
+
+def test_special_cases_of_laws_agree():
+    strain = np.linspace(-0.6, 1.0, 33)
+    neo = NeoHookean(3.0)
+    for same in (MooneyRivlin(3.0, 0.0), Yeoh(3.0), Ogden(6.0, 2.0)):
+        assert same.uniaxial_stress(strain) == pytest.approx(neo.uniaxial_stress(strain))
+        assert same.shear_modulus == pytest.approx(6.0)
+    # an Ogden law of exponent -2 is that of the second invariant
+    second = MooneyRivlin.unchecked(0.0, 3.0).uniaxial_stress(strain)
+    assert Ogden(6.0, -2.0).uniaxial_stress(strain) == pytest.approx(second)
+
+
+def test_laws_by_name():
+    assert make_law(c10=2.23, c01=0.703) == MooneyRivlin(2.23, 0.703)
+    assert make_law("neo-hookean", 20, c10=2.0, c01=None) == NeoHookean(2.0, 20.0)
+    assert make_law("yeoh", c10=2.0, c20=-0.1) == Yeoh(2.0, -0.1, 0.0)
+    assert make_law("ogden", mu=5.0, alpha=3.0) == Ogden(5.0, 3.0)
+    law = Yeoh(2.0, -0.1, 0.05)
+    assert law.scaled(2.0) == Yeoh(4.0, -0.2, 0.1)
+    assert law.attributes == {
+        "law": "yeoh",
+        "c10_kPa": 2.0,
+        "c20_kPa": -0.1,
+        "c30_kPa": 0.05,
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"law": "hooke", "c10": 1.0}, "choose one of"),
+        ({}, "mooney-rivlin law takes c10, c01: c10 is missing"),
+        ({"law": "yeoh", "c10": 1.0, "c01": 0.5}, "c01 belongs to another law"),
+        ({"law": "ogden", "c10": 1.0}, "mu is missing; alpha is missing; c10 belongs"),
+        ({"law": "ogden", "mu": 1.0, "alpha": 0.0}, "alpha = 0"),
+        ({"law": "yeoh", "c10": 1.0, "c20": -1.0}, "stable only between"),
+        ({"law": "yeoh", "c10": 1.0, "c30": float("nan")}, "c30 = nan"),
+    ],
+)
+def test_laws_that_cannot_be_made_are_refused(arguments, message):
+    with pytest.raises(MaterialError, match=message):
+        make_law(**arguments)
+
+
+def test_the_solver_refuses_a_law_of_another_form():
+    with pytest.raises(MaterialError, match="not ogden"):
+        _ = Ogden(5.0, 3.0).coefficients

@@ -73,7 +73,7 @@ def flat(lateral: int, deep: int) -> LayerProblem:
     pixels = np.linspace(0.0, 5.0, 11)
     imprint = Imprint(pixels, pixels, np.full((11, 11), 0.5), np.full((11, 11), 0.45))
     grid = LayerGrid(axis, axis, np.linspace(0.0, 1.0, deep + 1), thickness)
-    return LayerProblem(grid, imprint, 2.23, 0.703, 5.9e4, (0.1, 0.1))
+    return LayerProblem(grid, imprint, MooneyRivlin(2.23, 0.703), (0.1, 0.1))
 
 
 @pytest.mark.parametrize("solver", ["auto", "multigrid", "direct"])

@@ -161,7 +161,7 @@ def test_with_changes_some_keys_and_leaves_the_study_as_it_is():
     [
         ({"friction": {"windw": 0.1}}, "friction.windw.*did you mean window"),
         ({"friction": {"window": -1}}, "friction.window"),
-        ({"material": (2.23, 0.7)}, "material: a MooneyRivlin, or a mapping"),
+        ({"material": (2.23, 0.7)}, "material: a law such as MooneyRivlin, or a mapping"),
         ({"material": {"c10": "soft"}}, "material.c10.*number"),
         ({"loaded": "map.npy"}, "loaded: .*DataArray"),
         ({"unloaded": "thin"}, "unloaded: .*or mm"),
@@ -193,7 +193,7 @@ def test_advice_about_a_map_in_micrometres_can_be_taken():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"material": (2.23, 0.7)}, "material: a MooneyRivlin"),
+        ({"material": (2.23, 0.7)}, "material: a law such as MooneyRivlin"),
         ({"window_friction": "0.1"}, "window_friction must be a number"),
         ({"window_friction": None}, "window_friction must be a number"),
         ({"element_size": "fine"}, "element_size must be"),

@@ -46,9 +46,7 @@ def pressed(motion: np.ndarray | None, friction: tuple[float, float]):
     problem = LayerProblem(
         LayerGrid(x, x, np.linspace(0, 1, 4), np.full((9, 9), THICKNESS)),
         Imprint(PIXELS, PIXELS, flat, STRETCH * flat, motion),
-        C10,
-        C01,
-        1e4 * MU,
+        MooneyRivlin(C10, C01),
         friction,
     )
     uniform = MU * problem.grid.surface_areas(problem.grid.nodes[:, -1])
@@ -206,9 +204,7 @@ def test_the_layer_alone_on_the_moving_surface_is_the_layer_of_the_experiment():
         problem = LayerProblem(
             grid,
             Imprint(pixels, pixels, flat, height, moves),
-            C10,
-            C01,
-            1e4 * MU,
+            MooneyRivlin(C10, C01),
             (0.3, 0.2),
             slip_length=assembly.slip_length,
         )

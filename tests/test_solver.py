@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.direct import DirectSolver
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
@@ -20,7 +21,7 @@ def pressed(n: int, depth: int, edges: str = "free") -> tuple[LayerProblem, Laye
     flat = np.full((41, 41), 0.4)
     grid = LayerGrid(x, x, graded_depths(depth), np.full((n + 1, n + 1), 0.4))
     imprint = Imprint(px, px, flat, flat - 0.03 + ripple)
-    problem = LayerProblem(grid, imprint, 2.23, 0.703, 6e4, (0.2, 0.1), edges=edges)
+    problem = LayerProblem(grid, imprint, MooneyRivlin(2.23, 0.703), (0.2, 0.1), edges=edges)
     state = LayerState.unloaded(grid)
     state.load = 1.0
     state.normal_force[:] = 2.0 * grid.surface_areas(grid.nodes[:, -1])

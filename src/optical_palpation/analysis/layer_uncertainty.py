@@ -9,7 +9,7 @@ from typing import Any
 import xarray as xr
 
 from optical_palpation.analysis.uncertainty import Noise, propagate_uncertainty
-from optical_palpation.material import MooneyRivlin
+from optical_palpation.material import Law
 from optical_palpation.palpation.computational import Progress, computational_stress
 from optical_palpation.palpation.result import StressResult
 
@@ -17,7 +17,7 @@ from optical_palpation.palpation.result import StressResult
 def stress_uncertainty(
     loaded: xr.DataArray,
     initial_thickness: float | xr.DataArray,
-    material: MooneyRivlin,
+    material: Law,
     *,
     window_friction: float,
     sample_friction: float,
@@ -44,7 +44,8 @@ def stress_uncertainty(
     window_friction_error, sample_friction_error
         Errors of the coefficients.
     modulus_error
-        Relative error of the material's stiffness, common to C10 and C01, which come from one fit.
+        Relative error of the material's stiffness, common to its coefficients, which come from one
+        fit.
     thickness_error
         Error common to all of the loaded thickness, mm, as from a wrong refractive index.
     thickness_noise
@@ -109,7 +110,7 @@ def stress_uncertainty(
         return computational_stress(
             here,
             initial_thickness,
-            MooneyRivlin(material.c10 * modulus, material.c01 * modulus, material.bulk_to_shear),
+            material.scaled(modulus),
             window_friction=window_friction,
             sample_friction=sample_friction,
             start=start,

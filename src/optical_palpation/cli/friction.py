@@ -9,6 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from optical_palpation.cli.law import (
+    C01_HELP,
+    C10_HELP,
+    C20_HELP,
+    C30_HELP,
+    LAW_HELP,
+    LawChoice,
+)
+
 _LAYER, _VOLUMES, _OUTPUT = "Layer and calibration", "Volumes", "Output"
 
 if TYPE_CHECKING:
@@ -52,12 +61,13 @@ def friction(
             rich_help_panel=_LAYER,
         ),
     ] = None,
-    c10: Annotated[
-        float | None, typer.Option(help="Mooney-Rivlin C10, kPa.", rich_help_panel=_LAYER)
-    ] = None,
-    c01: Annotated[
-        float, typer.Option(help="Mooney-Rivlin C01, kPa.", rich_help_panel=_LAYER)
-    ] = 0.0,
+    law: Annotated[
+        LawChoice, typer.Option(help=LAW_HELP, rich_help_panel=_LAYER)
+    ] = LawChoice.MOONEY_RIVLIN,
+    c10: Annotated[float | None, typer.Option(help=C10_HELP, rich_help_panel=_LAYER)] = None,
+    c01: Annotated[float | None, typer.Option(help=C01_HELP, rich_help_panel=_LAYER)] = None,
+    c20: Annotated[float | None, typer.Option(help=C20_HELP, rich_help_panel=_LAYER)] = None,
+    c30: Annotated[float | None, typer.Option(help=C30_HELP, rich_help_panel=_LAYER)] = None,
     bulk_to_shear: Annotated[
         float, typer.Option(help="Bulk over shear modulus.", rich_help_panel=_LAYER)
     ] = 1e4,
@@ -189,7 +199,7 @@ def friction(
 
     from optical_palpation import friction as library
     from optical_palpation import present
-    from optical_palpation.material import MooneyRivlin
+    from optical_palpation.material import make_law
     from optical_palpation.present.friction_figure import write_friction_figure
     from optical_palpation.present.record import write_friction
 
@@ -249,7 +259,7 @@ def friction(
             layer_size=layer_size,
             initial_thickness=initial_thickness,
             loaded_thickness=loaded_thickness,
-            material=MooneyRivlin(c10, c01, bulk_to_shear),
+            material=make_law(law.value, bulk_to_shear, c10=c10, c01=c01, c20=c20, c30=c30),
             region=region,
             sample_friction=sample_friction,
             step=step,

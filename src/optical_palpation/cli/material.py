@@ -9,17 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from optical_palpation.cli.law import LawChoice
+
 if TYPE_CHECKING:
     from optical_palpation.material import UniaxialFit
-
-
-class Law(StrEnum):
-    """A hyperelastic law."""
-
-    MOONEY_RIVLIN = "mooney-rivlin"
-    NEO_HOOKEAN = "neo-hookean"
-    YEOH = "yeoh"
-    OGDEN = "ogden"
 
 
 class Measure(StrEnum):
@@ -45,7 +38,10 @@ def material(
             show_default=False,
         ),
     ],
-    law: Annotated[list[Law], typer.Option(help="Law to fit; may be repeated.")] = list(Law),  # noqa: B006
+    law: Annotated[
+        list[LawChoice] | None,
+        typer.Option(help="Law to fit; may be repeated; all if not given.", show_default=False),
+    ] = None,
     strain_column: Annotated[
         str | None, typer.Option(help="Column of strain or displacement, if not found by name.")
     ] = None,
@@ -119,7 +115,7 @@ def material(
     points = recorded.from_contact(found.strain, found.toe_end)
     if strain_range is not None:
         points = points.between(*strain_range)
-    fits = [fit_uniaxial(points, each.value) for each in dict.fromkeys(law)]
+    fits = [fit_uniaxial(points, each.value) for each in dict.fromkeys(law or LawChoice)]
 
     print(
         f"{test.name}: {recorded.loading} to a strain of {abs(recorded.strain).max():.3g}, "
@@ -132,9 +128,11 @@ def material(
     for fit in fits:
         print(_describe(fit))
     best = fits[0]
-    if best.law in (Law.MOONEY_RIVLIN, Law.NEO_HOOKEAN) and best.stable:
-        options = " ".join(f"--{name} {value:.4g}" for name, value in best.parameters.items())
-        print(f"for the layer: {options}")
+    if best.stable:
+        options = [f"--{name} {value:.4g}" for name, value in best.parameters.items()]
+        if best.law != LawChoice.MOONEY_RIVLIN:
+            options.insert(0, f"--law {best.law}")
+        print(f"for the layer: {' '.join(options)}")
 
     if output:
         write_fits(fits, output, contact_strain=found.strain, toe_end_strain=found.toe_end)

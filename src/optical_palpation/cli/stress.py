@@ -9,6 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperCommand
 
+from optical_palpation.cli.law import (
+    ALPHA_HELP,
+    C01_HELP,
+    C10_HELP,
+    C20_HELP,
+    C30_HELP,
+    LAW_HELP,
+    MU_HELP,
+    LawChoice,
+)
 from optical_palpation.cli.progress import ProgressDisplay
 
 if TYPE_CHECKING:
@@ -60,9 +70,14 @@ def stress(
             metavar="NUMBER|MAP", help="Unloaded thickness: mm, or a map like the first one."
         ),
     ],
-    c10: Annotated[float, typer.Option(help="Mooney-Rivlin C10, kPa.")],
     output: Annotated[Path, typer.Option(help="Result, NetCDF (.nc).")],
-    c01: Annotated[float, typer.Option(help="Mooney-Rivlin C01, kPa; 0 is neo-Hookean.")] = 0.0,
+    law: Annotated[LawChoice, typer.Option(help=LAW_HELP)] = LawChoice.MOONEY_RIVLIN,
+    c10: Annotated[float | None, typer.Option(help=C10_HELP)] = None,
+    c01: Annotated[float | None, typer.Option(help=C01_HELP)] = None,
+    c20: Annotated[float | None, typer.Option(help=C20_HELP)] = None,
+    c30: Annotated[float | None, typer.Option(help=C30_HELP)] = None,
+    mu: Annotated[float | None, typer.Option(help=MU_HELP)] = None,
+    alpha: Annotated[float | None, typer.Option(help=ALPHA_HELP)] = None,
     bulk_to_shear: Annotated[float, typer.Option(help="Bulk over shear modulus.")] = 1e4,
     method: Annotated[Method, typer.Option(help="How to compute stress.")] = Method.COMPUTATIONAL,
     window_friction: Annotated[
@@ -144,7 +159,7 @@ def stress(
     sizes = _element_size(element_size)
 
     from optical_palpation import present, thickness
-    from optical_palpation.material import MooneyRivlin
+    from optical_palpation.material import make_law
 
     thickness_is_map = not _is_number(initial_thickness)
     inputs = [map, Path(initial_thickness)] if thickness_is_map else [map]
@@ -168,7 +183,9 @@ def stress(
             )
         )
 
-    material = MooneyRivlin(c10, c01, bulk_to_shear)
+    material = make_law(
+        law.value, bulk_to_shear, c10=c10, c01=c01, c20=c20, c30=c30, mu=mu, alpha=alpha
+    )
     cleaned = read(map, variable, layer_extent=layer_extent)
     loaded = cleaned["thickness"]
     initial: Any = initial_thickness

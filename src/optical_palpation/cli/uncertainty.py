@@ -63,7 +63,6 @@ def uncertainty(
 
     from optical_palpation import present, study
     from optical_palpation.analysis import Noise, stress_uncertainty
-    from optical_palpation.material import MooneyRivlin
     from optical_palpation.present.uncertainty_figure import write_uncertainty_figure
     from optical_palpation.present.uncertainty_file import write_uncertainty
     from optical_palpation.study.inputs import sample_motion
@@ -84,7 +83,7 @@ def uncertainty(
         errors = stress_uncertainty(
             loaded,
             measured["initial_thickness"],
-            MooneyRivlin(**asked.material.model_dump()),
+            asked.material.make(),
             window_friction=asked.friction.window,
             sample_friction=asked.friction.sample,
             window_friction_error=window_friction,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -72,7 +71,7 @@ def recovered_stress(
     scene = result.scene
     material = scene.layer.material
     if bulk_to_shear is not None:
-        material = replace(material, bulk_to_shear=bulk_to_shear)
+        material = material.of(material.values, bulk_to_shear)
     return computational_stress(
         loaded,
         scene.layer.thickness,

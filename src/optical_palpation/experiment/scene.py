@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from optical_palpation import material
 from optical_palpation.errors import InputError
-from optical_palpation.material import MooneyRivlin
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -33,16 +33,25 @@ class _Part(BaseModel):
 
 
 class Law(_Part):
-    """Mooney-Rivlin law of a body: coefficients in kPa, ratio of bulk to shear modulus."""
+    """Law of a body: coefficients in kPa, ratio of bulk to shear modulus.
 
+    Without any coefficient it is the Mooney-Rivlin law of the paper's layer.
+    """
+
+    law: Literal["mooney-rivlin", "neo-hookean", "yeoh"] = "mooney-rivlin"
     c10: Finite = 2.23
-    c01: Finite = 0.703
+    c01: Finite | None = None
+    c20: Finite | None = None
+    c30: Finite | None = None
     bulk_to_shear: Positive = 1e4
 
     @property
-    def material(self) -> MooneyRivlin:
+    def material(self) -> material.Law:
         """The law as the solver takes it."""
-        return MooneyRivlin(self.c10, self.c01, self.bulk_to_shear)
+        given = self.model_dump(include={"c10", "c01", "c20", "c30"})
+        if self.law == "mooney-rivlin" and self.c01 is None:
+            given["c01"] = 0.703
+        return material.make_law(self.law, self.bulk_to_shear, **given)
 
 
 class Layer(Law):

@@ -135,8 +135,7 @@ def run_experiment(
     window += float(assembly.sides.force(assembly.position(state.u))[0].sum())
     maps.attrs = {
         "method": "virtual experiment",
-        "c10_kPa": scene.layer.c10,
-        "c01_kPa": scene.layer.c01,
+        **scene.layer.material.attributes,
         "bulk_to_shear": scene.layer.bulk_to_shear,
         "window_friction": scene.friction.window,
         "sample_friction": scene.friction.sample,

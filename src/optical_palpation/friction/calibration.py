@@ -15,7 +15,7 @@ from scipy.interpolate import PchipInterpolator
 
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.files import replacing
-from optical_palpation.material import MooneyRivlin
+from optical_palpation.material import Law
 from optical_palpation.mechanics.cascade import LoadNotReached, make_solver, solve
 from optical_palpation.mechanics.contact import remember_slip
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
@@ -40,7 +40,7 @@ def slab_profile(
     layer_size: tuple[float, float],
     initial_thickness: float,
     loaded_thickness: float,
-    material: MooneyRivlin,
+    material: Law,
     region: float,
     sample_friction: float = 0.1,
     step: float = 5e-4,
@@ -111,9 +111,7 @@ def slab_profile(
     problem = LayerProblem(
         grid,
         Imprint(px, py, initial_thickness * flat, loaded_thickness * flat),
-        material.c10,
-        material.c01,
-        material.bulk_modulus,
+        material,
         (friction, sample_friction),
         slip_length=_PRELOAD_SLIP,
     )
@@ -159,7 +157,7 @@ def calibration_curves(
     layer_size: tuple[float, float],
     initial_thickness: float,
     loaded_thickness: float,
-    material: MooneyRivlin,
+    material: Law,
     region: float,
     sample_friction: float = 0.1,
     step: float = 5e-4,
@@ -220,8 +218,7 @@ def calibration_curves(
             "sample_friction": sample_friction,
             "step_mm": step,
             "region_mm": region,
-            "c10_kPa": material.c10,
-            "c01_kPa": material.c01,
+            **material.attributes,
             "bulk_to_shear": material.bulk_to_shear,
         },
     )

@@ -5,34 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from optical_palpation.material import Law
 
 from .elements import GRADIENTS, element_stress, internal_force, tangent_planes
 from .grid import LayerGrid
 
 Array = NDArray[np.float64]
-
-
-class Law(Protocol):
-    """What the element needs of a hyperelastic law (``optical_palpation.material``)."""
-
-    @property
-    def coefficients(self) -> tuple[float, float, float, float]:
-        """The coefficients (c10, c20, c30, c01) of the isochoric energy, kPa."""
-        ...
-
-    @property
-    def shear_modulus(self) -> float:
-        """Initial shear modulus, kPa."""
-        ...
-
-    @property
-    def bulk_modulus(self) -> float:
-        """Bulk modulus, kPa."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from optical_palpation.material import MooneyRivlin
+from optical_palpation.material import Law
 
 from .body import Body
 from .grid import LayerGrid
@@ -29,10 +29,8 @@ class LayerProblem:
         The elements of the unloaded layer.
     imprint
         The surface on the sample side; the window is the plane z = 0.
-    c10, c01
-        Mooney-Rivlin coefficients, kPa.
-    bulk_modulus
-        K, kPa.
+    law
+        The law of the layer.
     friction
         Coulomb coefficients at the window and at the sample side.
     edges
@@ -46,9 +44,7 @@ class LayerProblem:
 
     grid: LayerGrid
     imprint: Imprint
-    c10: float
-    c01: float
-    bulk_modulus: float
+    law: Law
     friction: tuple[float, float]
     edges: Literal["free", "roller"] = "free"
     slip_length: float = 1e-3
@@ -56,14 +52,18 @@ class LayerProblem:
 
     @property
     def shear_modulus(self) -> float:
-        """Initial shear modulus mu = 2 (C10 + C01), kPa."""
-        return 2 * (self.c10 + self.c01)
+        """Initial shear modulus mu, kPa."""
+        return self.law.shear_modulus
+
+    @property
+    def bulk_modulus(self) -> float:
+        """Bulk modulus K, kPa."""
+        return self.law.bulk_modulus
 
     @cached_property
     def body(self) -> Body:
         """The layer's elements."""
-        ratio = self.bulk_modulus / self.shear_modulus
-        return Body(self.grid, MooneyRivlin(self.c10, self.c01, ratio))
+        return Body(self.grid, self.law)
 
     def on_grid(self, grid: LayerGrid, imprint: Imprint | None = None) -> LayerProblem:
         """Return the same problem on another grid."""

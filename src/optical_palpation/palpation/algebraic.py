@@ -6,14 +6,14 @@ import numpy as np
 import xarray as xr
 
 from optical_palpation.errors import InputError, MaterialError
-from optical_palpation.material import MooneyRivlin, stable_stretches
+from optical_palpation.material import Law
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.thickness.frames import inside_layer, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
 
 
 def algebraic_stress(
-    loaded: xr.DataArray, initial_thickness: float | xr.DataArray, material: MooneyRivlin
+    loaded: xr.DataArray, initial_thickness: float | xr.DataArray, material: Law
 ) -> xr.DataArray:
     """Axial stress from the strain of each pixel alone, ``E(strain) * strain``.
 
@@ -46,9 +46,9 @@ def algebraic_stress(
     MaterialError
         If a pixel is compressed beyond the strain up to which the material is stable.
     """
-    if not isinstance(material, MooneyRivlin):
+    if not isinstance(material, Law):
         raise InputError(
-            "material: a MooneyRivlin(c10=..., c01=...), moduli in kPa, not "
+            "material: a law such as MooneyRivlin(c10=..., c01=...), moduli in kPa, not "
             f"{type(material).__name__} {str(material)[:40]!r}"
         )
     loaded = on_grid(loaded)
@@ -56,11 +56,11 @@ def algebraic_stress(
     stretch = np.where(inside_layer(loaded), loaded.values / initial.values, np.nan)
     # Out of contact the layer bears nothing: the map shows the gap, not a stretched layer.
     stretch = np.minimum(stretch, 1.0)
-    lowest = stable_stretches(material.c10, material.c01)[0]
+    lowest = material.stable_stretches()[0]
     if np.nanmin(stretch) <= lowest:
         raise MaterialError(
             f"the layer is compressed by {100 * (1 - np.nanmin(stretch)):.3g} %, but the material "
-            f"c10 = {material.c10:g} kPa, c01 = {material.c01:g} kPa is stable only up to "
+            f"{material.describe()} is stable only up to "
             f"{100 * (1 - lowest):.3g} %"
         )
     strain = stretch - 1.0
@@ -74,7 +74,7 @@ def algebraic_stress(
 
 
 def algebraic_result(
-    loaded: xr.DataArray, initial_thickness: float | xr.DataArray, material: MooneyRivlin
+    loaded: xr.DataArray, initial_thickness: float | xr.DataArray, material: Law
 ) -> StressResult:
     """Compute the algebraic stress as a result that can be drawn, written and summarised.
 
@@ -100,8 +100,7 @@ def algebraic_result(
         },
         attrs={
             "method": "algebraic",
-            "c10_kPa": material.c10,
-            "c01_kPa": material.c01,
+            **material.attributes,
             "initial_thickness_mm": float(initial.where(inside_layer(loaded)).mean()),
             "no_contact_share": stress.attrs["no_contact_share"],
         },

@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.errors import ConvergenceError, InputError
-from optical_palpation.material import MooneyRivlin
+from optical_palpation.material import Law
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
 from optical_palpation.mechanics.contact import area_vectors, friction_fraction, side_contact
 from optical_palpation.mechanics.grid import (
@@ -64,7 +64,7 @@ class Progress:
 def computational_stress(
     loaded: xr.DataArray,
     initial_thickness: float | xr.DataArray,
-    material: MooneyRivlin,
+    material: Law,
     *,
     window_friction: float,
     sample_friction: float,
@@ -192,8 +192,7 @@ def computational_stress(
     maps.attrs = {
         **{key: value for key, value in loaded.attrs.items() if key.startswith("source")},
         "method": "computational",
-        "c10_kPa": material.c10,
-        "c01_kPa": material.c01,
+        **material.attributes,
         "bulk_to_shear": material.bulk_to_shear,
         "window_friction": float(window_friction),
         "sample_friction": float(sample_friction),
@@ -300,7 +299,7 @@ def _problem(
     loaded: xr.DataArray,
     initial: xr.DataArray,
     motion: xr.DataArray | None,
-    material: MooneyRivlin,
+    material: Law,
     friction: tuple[float, float],
     sizes: tuple[float, float, float],
     edges: Edges,
@@ -327,9 +326,7 @@ def _problem(
     return LayerProblem(
         grid=LayerGrid(nodes_x, nodes_y, depth, unloaded),
         imprint=imprint,
-        c10=material.c10,
-        c01=material.c01,
-        bulk_modulus=material.bulk_modulus,
+        law=material,
         friction=friction,
         edges="roller" if edges == "roller" else "free",
         # friction builds up over 1 um on a layer of 0.5 mm, in proportion on others
@@ -362,7 +359,7 @@ def _padded(nodes: Array, width: float) -> Array:
     return np.concatenate([nodes[0] - beyond[::-1], nodes, nodes[-1] + beyond])
 
 
-def _algebraic_forces(level: LayerProblem, material: MooneyRivlin) -> Array:
+def _algebraic_forces(level: LayerProblem, material: Law) -> Array:
     """Nodal contact forces at full load that the algebraic method expects."""
     grid = level.grid
     height = level.imprint.evaluate(*np.meshgrid(grid.x, grid.y), 1.0)[0]

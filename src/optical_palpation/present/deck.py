@@ -123,10 +123,9 @@ def write_deck(
         _write_mesh(file, window, "WINDOW", "C3D8")
         file.write(f"""\
 **
-** The layer: Mooney-Rivlin, C10, C01 in kPa and D1 = 2/K in 1/kPa
+** The layer: coefficients in kPa and D1 = 2/K in 1/kPa
 *MATERIAL, NAME=SILICONE
-*HYPERELASTIC, MOONEY-RIVLIN
-{problem.c10:.9g}, {problem.c01:.9g}, {2 / problem.bulk_modulus:.9g}
+{_hyperelastic(problem)}
 *SOLID SECTION, ELSET=LAYER, MATERIAL=SILICONE
 ** Window and imprint: all nodes are prescribed, so that this stiffness never matters
 *MATERIAL, NAME=PRESCRIBED
@@ -266,6 +265,15 @@ def _imprint_lattice(problem: LayerProblem) -> tuple[Array, Array]:
     lattice = np.stack([np.broadcast_to(x, z.shape), np.broadcast_to(y, z.shape), z])
     moves = np.stack([*sideways, end - start])
     return lattice, np.broadcast_to(moves[:, None], lattice.shape)
+
+
+def _hyperelastic(problem: LayerProblem) -> str:
+    c10, c20, c30, c01 = problem.law.coefficients
+    compressibility = 2 / problem.bulk_modulus
+    law, values = "MOONEY-RIVLIN", [c10, c01, compressibility]
+    if c20 != 0 or c30 != 0:
+        law, values = "YEOH", [c10, c20, c30, compressibility, 0.0, 0.0]
+    return f"*HYPERELASTIC, {law}\n" + ", ".join(f"{value:.9g}" for value in values)
 
 
 def _write_heading(file: TextIO, problem: LayerProblem) -> None:

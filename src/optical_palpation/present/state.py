@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from optical_palpation.errors import MaterialError
+from optical_palpation.material import Law, make_law
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.palpation.result import StressResult
 
@@ -33,7 +35,7 @@ def read_state(groups: Mapping[str, xr.Dataset]) -> dict[str, Any]:
     """
     try:
         found = {name: _unpacked(kind, groups[name]) for name, kind in GROUPS.items()}
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, MaterialError):
         return {}
     grid = found["problem"].grid
     if found["state"].u.shape != (3, *grid.node_shape) or found["state"].p.shape != grid.shape:
@@ -49,6 +51,8 @@ def _packed(item: Any, prefix: str = "") -> xr.Dataset:
         name, value = prefix + part.name, getattr(item, part.name)
         if isinstance(value, np.ndarray):
             variables[name] = ([f"{name}_{k}" for k in range(value.ndim)], value)
+        elif isinstance(value, Law):
+            attrs[name] = json.dumps(value.arguments)
         elif dataclasses.is_dataclass(value):
             inner = _packed(value, f"{name}.")
             variables |= {str(k): v for k, v in inner.variables.items()}
@@ -67,6 +71,8 @@ def _unpacked(kind: Any, group: xr.Dataset, prefix: str = "") -> Any:
             values[part.name] = group[name].values
         elif name in group.attrs:
             value = json.loads(group.attrs[name])
+            if types[part.name] is Law:
+                value = make_law(**value)
             values[part.name] = tuple(value) if isinstance(value, list) else value
         elif dataclasses.is_dataclass(types[part.name]):
             values[part.name] = _unpacked(types[part.name], group, f"{name}.")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import xarray as xr
 
 from optical_palpation.errors import ConvergenceError, InputError, OutputError
 from optical_palpation.files import replacing
-from optical_palpation.material import MooneyRivlin
+from optical_palpation.material import Law
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present import read_result
 from optical_palpation.study.reading import changed, make_study, read_study
@@ -45,7 +44,8 @@ class Study:
     unloaded
         The layer before; likewise, or its thickness in mm.
     material
-        :class:`~optical_palpation.material.MooneyRivlin`, or ``{"c10": ..., "c01": ...}`` in kPa.
+        A law (:class:`~optical_palpation.material.MooneyRivlin`, ``NeoHookean``, ``Yeoh``), or the
+        keys of a study file, ``{"c10": ..., "c01": ...}`` in kPa.
     friction
         ``{"window": ..., "sample": ...}``, Coulomb's coefficients.
     grid
@@ -67,7 +67,7 @@ class Study:
         *,
         loaded: Mapping[str, Any] | xr.DataArray,
         unloaded: Mapping[str, Any] | xr.DataArray | float,
-        material: MooneyRivlin | Mapping[str, float],
+        material: Law | Mapping[str, Any],
         friction: Mapping[str, float],
         grid: Mapping[str, Any] | float | Sequence[float],
         folder: str | os.PathLike[str] = ".",
@@ -151,7 +151,7 @@ class Study:
             what = getattr(it, "volume", None) or getattr(it, "map", None)
             said.append(f"{side} {Path(what).name if what else f'{it.thickness:g} mm'}")
         m, f, g = self._checked.material, self._checked.friction, self._checked.grid
-        said.append(f"c10 {m.c10:g} kPa, c01 {m.c01:g} kPa")
+        said.append(f"{m.law}, {m.make().describe()}")
         said.append(f"friction {f.window:g} (window), {f.sample:g} (sample)")
         said.append(f"elements {g.element_size} mm")
         return f"<Study: {'; '.join(said)}>"
@@ -283,8 +283,8 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
             if isinstance(whole.get(key), str | os.PathLike):
                 whole[key] = str((folder / whole[key]).resolve())
         return whole
-    if name == "material" and isinstance(value, MooneyRivlin):
-        return asdict(value)
+    if name == "material" and isinstance(value, Law):
+        return value.arguments
     if name == "grid" and not isinstance(value, Mapping):
         return {"element_size": _plain(value)}
     if name == "sample" and isinstance(value, Mapping):
@@ -294,7 +294,7 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
     if name == "title":
         return value
     if not isinstance(value, Mapping):
-        expected = "a MooneyRivlin, or a mapping" if name == "material" else "a mapping"
+        expected = "a law such as MooneyRivlin, or a mapping" if name == "material" else "a mapping"
         raise InputError(
             f"{name}: {expected} of keys to values, not {type(value).__name__} {value!r}"
         )

@@ -136,10 +136,8 @@ def make_study(given: Mapping[str, Any], file: Path) -> Study:
 
 def _check(study: Study) -> None:
     """Refuse what is wrong with more than a single value, before anything is computed."""
-    from optical_palpation.material import MooneyRivlin
-
     try:
-        MooneyRivlin(**study.material.model_dump())
+        study.material.make()
     except MaterialError as error:
         raise MaterialError(f"{study.file}: [material]: {error}") from None
     if study.layer.registration and isinstance(study.unloaded, NumberInput):
@@ -159,6 +157,8 @@ def _check(study: Study) -> None:
 _HINTS = {
     "c10": "kPa",
     "c01": "kPa",
+    "c20": "kPa",
+    "c30": "kPa",
     "thickness": "mm",
     "motion": "the strain by which the sample spreads, 0.1 for 10 %, or a file",
     "element_size": "mm, one number or three for x, y and z",

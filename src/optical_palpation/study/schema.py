@@ -16,6 +16,8 @@ from pydantic import (
     Tag,
 )
 
+from optical_palpation.material import Law, make_law
+
 Positive = Annotated[float, Field(gt=0)]
 Text = Annotated[str, Field(min_length=1)]
 # TOML has arrays and no tuples: the tuple is not strict, the numbers in it are.
@@ -116,11 +118,18 @@ class Layer(Table):
 
 
 class Material(Table):
-    """Mooney-Rivlin coefficients, kPa."""
+    """Law of the layer and its coefficients, kPa; which it takes, ``make_law`` says."""
 
+    law: Literal["mooney-rivlin", "neo-hookean", "yeoh"] = "mooney-rivlin"
     c10: float
     c01: float = 0.0
+    c20: float = 0.0
+    c30: float = 0.0
     bulk_to_shear: float = 1e4
+
+    def make(self) -> Law:
+        """Return the law; raises MaterialError as ``make_law`` does."""
+        return make_law(**self.model_dump())
 
 
 class Friction(Table):

@@ -33,7 +33,9 @@ def _lines(study: Study) -> Iterator[str]:
             yield "unloaded = thickness.shift_map(unloaded, shift)"
         yield 'unloaded = thickness.clean_thickness(unloaded)["thickness"]'
     yield 'loaded = thickness.clean_thickness(loaded)["thickness"]'
-    yield f"silicone = material.MooneyRivlin({_arguments(study.material.model_dump())})"
+    law = study.material.make()
+    values = law.values | {"bulk_to_shear": law.bulk_to_shear}
+    yield f"silicone = material.{type(law).__name__}({_arguments(values)})"
     motion = study.sample.motion
     if isinstance(motion, str):
         yield f"motion = palpation.read_sample_motion({motion!r})"

@@ -17,7 +17,6 @@ import numpy as np
 import xarray as xr
 
 from optical_palpation import present
-from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import algebraic_result, computational_stress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.study.inputs import (
@@ -200,7 +199,7 @@ class Stages:
         result = algebraic_result(
             thickness["loaded_thickness"],
             thickness["initial_thickness"],
-            MooneyRivlin(**self.study.material.model_dump()),
+            self.study.material.make(),
         )
         present.write_result(self._stress_of(thickness, result), path)
 
@@ -211,7 +210,7 @@ class Stages:
         result = computational_stress(
             loaded,
             thickness["initial_thickness"],
-            MooneyRivlin(**study.material.model_dump()),
+            study.material.make(),
             window_friction=study.friction.window,
             sample_friction=study.friction.sample,
             sample_motion=sample_motion(study, loaded),
