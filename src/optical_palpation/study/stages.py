@@ -241,12 +241,14 @@ class Stages:
             write_report(
                 path,
                 result,
-                **layers,
+                loaded=layers["loaded"],
+                unloaded=layers["unloaded"],
                 volumes=volumes or None,
                 parameters=parameters(self.study),
                 python=reproducing_lines(self.study),
                 title=self.study.title or self.study.file.stem,
                 warnings=warnings_about(result),
+                result_file=STRESS,
             )
 
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from optical_palpation.volume import Volume
 
 LARGEST = 512  # pixels of a picture along either side
-SLICES = 100  # pictures of a volume
-BYTES = 5_000_000  # all pictures of a volume together, before they become text
+SLICES = 50  # pictures of a volume
+BYTES = 900_000  # all pictures of a volume together, before they become text
 QUALITIES = (75, 65, 55, 45, 35, 25, 15, 5)  # of JPEG, tried until the pictures are small enough
 SHADES = (20.0, 99.5)  # percentiles of the signal that are black and white
 
@@ -52,7 +52,7 @@ def draw_volume(
     """
     from optical_palpation.thickness.intensity import intensity_reader
 
-    nz, ny, nx = volume.shape
+    _, ny, nx = volume.shape
     if layer is not None and layer["thickness"].shape != (ny, nx):
         raise InputError(
             f"{name} volume: {ny} x {nx} A-scans, but the layer's map has "
@@ -63,14 +63,15 @@ def draw_volume(
     y, x = _positions(volume, layer)
     z0, dz, dx = m.origin.z, m.spacing.z, m.spacing.x
     read = intensity_reader(volume, m.scale)
-    block = stride(nz, LARGEST), stride(nx, LARGEST)
+    first, last = _depths(volume, layer)
+    block = stride(last - first, LARGEST), stride(nx, LARGEST)
     slices = range(0, ny, stride(ny, SLICES))
-    black, white = _shades(read, slices, block)
+    black, white = _shades(read, slices, block, first, last)
 
     def picture(image: NDArray[Any]) -> NDArray[np.uint8]:
-        return np.clip((_decibels(image, block) - black) * 255 / (white - black), 0, 255).astype(
-            "u1"
-        )
+        return np.clip(
+            (_decibels(image[first:last], block) - black) * 255 / (white - black), 0, 255
+        ).astype("u1")
 
     tried = [picture(read(slices[i])) for i in _some(len(slices))]
     quality = next((q for q in QUALITIES if _size(tried, q) * len(slices) < BYTES), QUALITIES[-1])
@@ -82,7 +83,7 @@ def draw_volume(
             pictures.append(base64.b64encode(_jpeg(picture(image), quality)).decode("ascii"))
 
     rows, columns = slice(None, None, slices.step), slice(None, None, block[1])
-    depth = (nz // block[0]) * block[0] * dz
+    depth = ((last - first) // block[0]) * block[0] * dz
     width = (nx // block[1]) * block[1] * dx
     entry: dict[str, Any] = {
         "pictures": pictures,
@@ -90,7 +91,7 @@ def draw_volume(
         "count": ny,
         "y": [float(v) for v in y[rows]],
         # From edge to edge, while the positions are those of the centres of pixels.
-        "extent": [float(v) for v in (x[0] - dx / 2, width, z0 - dz / 2, depth)],
+        "extent": [float(v) for v in (x[0] - dx / 2, width, z0 + (first - 0.5) * dz, depth)],
         "range": float(white - black),
         "lines": {},
     }
@@ -127,9 +128,31 @@ def _rows(
         yield row, read(row), below
 
 
-def _shades(read: Any, slices: range, block: tuple[int, int]) -> tuple[float, float]:
+def _depths(volume: Volume, layer: xr.Dataset | None) -> tuple[int, int]:
+    """First and last sample that are drawn: of a deep volume, the layer with what is around it.
+
+    So the picture keeps the resolution that the volume has, where the layer is.
+    """
+    nz = volume.shape[0]
+    if layer is None or "sample_depth" not in layer or nz <= LARGEST:
+        return 0, nz
+    m = volume.metadata
+    upper, lower = float(layer["window_depth"].min()), float(layer["sample_depth"].max())
+    if not (np.isfinite(upper) and np.isfinite(lower)):
+        return 0, nz
+    around = 0.5 * (lower - upper)
+    first = int(np.floor((upper - around - m.origin.z) / m.spacing.z))
+    last = int(np.ceil((lower + around - m.origin.z) / m.spacing.z)) + 1
+    first, last = max(first, 0), min(last, nz)
+    return (first, last) if last - first > 1 else (0, nz)
+
+
+def _shades(
+    read: Any, slices: range, block: tuple[int, int], first: int, last: int
+) -> tuple[float, float]:
     """Levels in dB that are drawn black and white."""
-    seen = np.concatenate([_decibels(read(slices[i]), block).ravel() for i in _some(len(slices))])
+    rows = (read(slices[i])[first:last] for i in _some(len(slices)))
+    seen = np.concatenate([_decibels(row, block).ravel() for row in rows])
     seen = seen[np.isfinite(seen)]
     if seen.size == 0:
         return 0.0, 1.0

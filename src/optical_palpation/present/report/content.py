@@ -9,9 +9,20 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from optical_palpation.analysis import Region, compare_results, region_statistics
 from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.present.figure import colour_map
 from optical_palpation.present.profiles import on_layer
-from optical_palpation.present.report.maps import encode_map, limits
+from optical_palpation.present.report.maps import encode_map, encode_maps
+from optical_palpation.present.terms import (
+    DIFFERENCE,
+    LENGTH,
+    QUALITY,
+    STRESS,
+    common_limits,
+    is_map,
+    term,
+)
 
 METHODS = {"algebraic": "algebraic_axial_stress", "computational": "axial_stress"}
 
@@ -38,26 +49,37 @@ def map_entries(
     loaded: xr.Dataset | None,
     unloaded: xr.Dataset | None,
     projections: Mapping[str, xr.DataArray],
+    others: Mapping[str, StressResult],
+    regions: Sequence[Region],
 ) -> dict[str, Any]:
     """Maps, masks of filled pixels, colour scales and profiles for the page's data."""
     maps = on_layer(result.maps)
     stress, thickness = methods(result), thicknesses(result, loaded, unloaded)
-    shown: dict[str, Any] = {}
-    masks: dict[str, Any] = {}
+    shown: dict[str, dict[str, Any]] = {}
+    fields: dict[str, tuple[xr.DataArray, int]] = {}
+    scales: dict[str, dict[str, Any]] = {}
+    members: dict[str, dict[str, xr.DataArray]] = {}
     layers = {"unloaded": unloaded, "loaded": loaded}
 
     def show(
-        group: str,
         key: str,
         title: str,
         scale: str,
         field: xr.DataArray,
+        *,
+        group: str | None = None,
         mask: str | None = None,
         digits: int = 4,
+        force: float = 0.0,
     ) -> None:
-        about = {"group": group, "title": title, "scale": scale, "mask": mask}
-        shown[key] = about | encode_map(field, digits)
+        if is_uniform(field):
+            group = None
+        about = {"group": group, "title": title, "scale": scale, "mask": mask, "force": force}
+        shown[key], fields[key] = about, (field, digits)
+        if scale != "contact":
+            members.setdefault(scale, {})[key] = field
 
+    masks: dict[str, Any] = {}
     for state, layer in layers.items():
         if layer is not None and "filled" in layer:
             masks[state] = encode_map(layer["filled"])
@@ -65,62 +87,130 @@ def map_entries(
         masks["result"] = encode_map(maps["filled"].fillna(0).astype(bool))
     of_stress = "result" if "result" in masks else "loaded"
 
-    for method, field in stress.items():
-        show("stress", method, f"{method.title()} stress", "stress", field, of_stress)
-    sides = {"contact_state": "sample", "window_contact_state": "window"}
-    for name, side in sides.items():
+    names = {"computational": "axial_stress", "algebraic": "algebraic_axial_stress"}
+    for method in sorted(stress, reverse=True):
+        title, field = f"{method.title()} stress", stress[method]
+        show(method, title, "stress", field, group="stress", mask=of_stress, force=-1.0)
+    scales["stress"] = {"colours": STRESS, "units": "kPa"}
+    for number, (name, other) in enumerate(others.items()):
+        found = compare_results({"this": result.maps, "other": other.maps})["difference"]
+        show(f"difference-{number}", f"{name} less this", "difference", found.isel(compared=0))
+        scales["difference"] = {"colours": DIFFERENCE, "units": "kPa"}
+    for name, side in {"contact_state": "sample", "window_contact_state": "window"}.items():
         if name in maps:
-            show("stress", name, f"Contact with the {side}", "contact", maps[name])
+            show(name, f"Contact with the {side}", "contact", maps[name], group="stress")
+    known = {*names.values(), "contact_state", "window_contact_state", "loaded_thickness", "filled"}
+    for variable, field in maps.data_vars.items():
+        if str(variable) in known | {"quality"} or not is_map(field):
+            continue
+        what = term(maps, str(variable))
+        if what.colours in ("states", "flags"):
+            continue
+        force = 1.0 if variable == "contact_pressure" else 0.0
+        show(str(variable), what.words, what.scale, field, mask=of_stress, digits=3, force=force)
+        scales.setdefault(what.scale, {"colours": what.colours, "units": what.units})
     for state, field in thickness.items():
         mask = of_stress if layers[state] is None else state
-        show("layer", f"{state}-thickness", f"{state.title()} thickness", "thickness", field, mask)
+        title = f"{state.title()} thickness"
+        show(f"{state}-thickness", title, "thickness", field, group="layer", mask=mask)
+        scales["thickness"] = {"colours": LENGTH, "units": "mm"}
     for state, layer in layers.items():
         if layer is not None and "quality" in layer:
-            title = f"{state.title()} quality"
-            show("layer", f"{state}-quality", title, "quality", layer["quality"], state, digits=2)
+            title, field = f"{state.title()} quality", layer["quality"]
+            show(f"{state}-quality", title, "quality", field, group="layer", mask=state, digits=2)
+            scales["quality"] = {"colours": QUALITY, "units": "", "low": 0.0, "high": 1.0}
     for state, field in projections.items():
-        title = f"Max. intensity, {state}"
-        show("layer", f"{state}-projection", title, f"{state} signal", field, digits=2)
+        title, scale = f"Max. intensity, {state}", f"{state} signal"
+        show(f"{state}-projection", title, scale, field, group="layer", digits=2)
+        scales[scale] = {"colours": "gray", "units": "dB"}
 
-    scales = {
-        "stress": _scale("viridis_r", "kPa", *limits(*stress.values())),
-        "thickness": _scale("cividis", "mm", *limits(*thickness.values())),
-        "quality": _scale("cividis", "", 0.0, 1.0),
-        **{
-            f"{state} signal": _scale("gray", "dB", *limits(field))
-            for state, field in projections.items()
-        },
-    }
+    for name, entry in scales.items():
+        if "low" not in entry:
+            entry["low"], entry["high"] = common_limits(members[name], entry["colours"])
+        entry["start"] = {key: entry[key] for key in ("low", "high", "colours")}
+    for key, entry in encode_maps(fields).items():
+        shown[key] |= entry
+    palettes = dict.fromkeys([*_PALETTES, *(scale["colours"] for scale in scales.values())])
     return {
         "maps": shown,
+        "stage": list(shown),
         "masks": masks,
         "scales": scales,
-        "colours": {s["colours"]: _colours(s["colours"]) for s in scales.values()},
+        "colours": {name: _colours(name) for name in palettes},
+        "regions": [
+            {"name": r.name, "outlines": [np.round(o, 5).tolist() for o in r.outlines]}
+            for r in regions
+        ],
         "profiles": {
             "stress": {
                 "label": "axial stress (kPa)",
-                "range": limits(*stress.values(), share=0.1),
-                "maps": list(stress),
+                "range": common_limits(stress, "", share=0.1),
+                "maps": sorted(stress),
+                "errors": {
+                    method: f"{names[method]}_error"
+                    for method in stress
+                    if f"{names[method]}_error" in shown
+                },
             },
             "layer": {
                 "label": "thickness (mm)",
-                "range": limits(*thickness.values(), share=0.1),
+                "range": common_limits(thickness, "", share=0.1),
                 "maps": [f"{state}-thickness" for state in thickness],
+                "errors": {},
             },
         },
         "states": {int(s): s.name.lower() for s in ContactState},
     }
 
 
-def _scale(colours: str, units: str, low: float, high: float) -> dict[str, Any]:
-    return {"colours": colours, "units": units, "low": low, "high": high}
+def is_uniform(field: xr.DataArray) -> bool:
+    """Whether a map says the same everywhere; such a one is told in words."""
+    values = field.values.astype(float)
+    values = values[np.isfinite(values)]
+    return bool(values.size) and bool(np.ptp(values) <= 1e-9 * abs(values).max())
+
+
+def uniform_maps(shown: Mapping[str, Mapping[str, Any]], result: StressResult) -> list[str]:
+    """Say in words what maps show that are the same everywhere."""
+    maps = on_layer(result.maps)
+    said = []
+    for name, side in (("contact_state", "sample"), ("window_contact_state", "window")):
+        if name in shown and name in maps and is_uniform(maps[name]):
+            state = ContactState(int(maps[name].values.flat[0])).name.lower()
+            said.append(f"contact with the {side}: {state} everywhere")
+    for name, entry in shown.items():
+        if entry["group"] is None and name in ("unloaded-thickness", "loaded-thickness"):
+            said.append(f"{entry['title'].lower()}: the same everywhere")
+    return said
+
+
+_PALETTES = ("viridis", "viridis_r", "cividis", "magma", "gray", "vik")
 
 
 def _colours(name: str) -> str:
     """256 colours as hexadecimal digits."""
-    from matplotlib import colormaps
+    return (colour_map(name)(np.arange(256), bytes=True)[:, :3]).tobytes().hex()
 
-    return (colormaps[name](np.arange(256), bytes=True)[:, :3]).tobytes().hex()
+
+def region_rows(
+    result: StressResult, regions: Sequence[Region]
+) -> tuple[list[str], list[tuple[str, ...]]]:
+    """Headings and rows of a table of regions of interest."""
+    if not regions:
+        return [], []
+    found = region_statistics(on_layer(result.maps), regions)
+    columns = [str(name) for name in found.data_vars]
+    headings = ["Region"]
+    for name in columns:
+        units = found[name].attrs.get("units", "1")
+        words = str(found[name].attrs.get("long_name", name))
+        units = {"1": "", "mm2": "mm\N{SUPERSCRIPT TWO}"}.get(units, units)
+        headings.append(words + (f", {units}" if units else ""))
+    rows = [
+        (str(region), *(_number(found[name].values[k]) for name in columns))
+        for k, region in enumerate(found["region"].values)
+    ]
+    return headings, rows
 
 
 def force_rows(result: StressResult) -> list[tuple[str, str]]:
@@ -157,9 +247,12 @@ def key_figures(
     attrs, maps = result.maps.attrs, on_layer(result.maps)
     figures = []
     if "sample_force_mN" in attrs:
-        figures.append(("Force on the sample", f"{_number(attrs['sample_force_mN'])} mN"))
+        force = _rounded(attrs["sample_force_mN"], attrs.get("force_error_mN"))
+        figures.append(("Force on the sample", f"{force} mN"))
+    names = {"computational": "axial_stress_error", "algebraic": "algebraic_axial_stress_error"}
     for method, stress in methods(result).items():
-        figures.append((f"Mean stress, {method}", f"{_number(float(stress.mean()))} kPa"))
+        error = maps[names[method]].mean() if names[method] in maps else None
+        figures.append((f"Mean stress, {method}", f"{_rounded(stress.mean(), error)} kPa"))
     touching = float(np.mean(maps["contact_state"].values != ContactState.OPEN))
     figures.append(("In contact with the sample", _percent(touching)))
     thickness = thicknesses(result, loaded, unloaded)
@@ -179,6 +272,21 @@ def _number(value: Any) -> str:
     return f"{float(value):.4g}".replace("-", "\N{MINUS SIGN}")
 
 
+def _rounded(value: Any, error: Any = None) -> str:
+    """A number to the digits that its error leaves, two of the error; three where that is unknown.
+
+    So 412.3 with an error of 11.7 is 412 +- 12.
+    """
+    value = float(value)
+    if error is None or not (np.isfinite(float(error)) and float(error) > 0):
+        return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
+    error = float(f"{float(error):.1e}")
+    places = max(0, 1 - int(np.floor(np.log10(error))))
+    return f"{value:.{places}f} \N{PLUS-MINUS SIGN} {error:.{places}f}".replace(
+        "-", "\N{MINUS SIGN}"
+    )
+
+
 def _percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
@@ -196,25 +304,82 @@ def convergence_rows(result: StressResult) -> list[dict[str, float]]:
 
 
 def parameter_sections(parameters: Mapping[str, object]) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Parameters as text; a mapping within becomes a section, one within that dotted names."""
+    """Parameters as text with units; a mapping within becomes a section, in it dotted names."""
     plain: list[tuple[str, str]] = []
     sections = [("", plain)]
     for name, value in parameters.items():
         if isinstance(value, Mapping):
-            sections.append((str(name), _flat(value)))
+            sections.append((str(name), _flat(value, str(name))))
         else:
-            plain.append((str(name), _text(value)))
+            plain.append(_row(str(name), value, ""))
     return [section for section in sections if section[1]]
 
 
-def _flat(parameters: Mapping[str, object], prefix: str = "") -> list[tuple[str, str]]:
+def _flat(
+    parameters: Mapping[str, object], section: str, prefix: str = ""
+) -> list[tuple[str, str]]:
     rows = []
     for name, value in parameters.items():
         if isinstance(value, Mapping):
-            rows += _flat(value, f"{prefix}{name}.")
+            rows += _flat(value, section, f"{prefix}{name}.")
         else:
-            rows.append((f"{prefix}{name}", _text(value)))
+            rows.append(_row(f"{prefix}{name}", value, section))
     return rows
+
+
+def _row(name: str, value: object, section: str) -> tuple[str, str]:
+    """A parameter's name without the unit that it ends in, and its value with it."""
+    text = _text(value)
+    unit = ""
+    for ending, written in _ENDINGS.items():
+        if name.endswith(ending):
+            name, unit = name.removesuffix(ending), written
+    last = name.split(".")[-1]
+    if not unit and f"{section}.{name}".split(".")[-2] in ("spacing", "origin"):
+        unit = "mm"
+    if not unit and _is_numeric(value):
+        unit = _UNITS.get(last, "")
+        if section == "friction" or "friction" in last:
+            unit = "(coefficient)"
+        if section == "sample" and last == "motion":
+            unit = "(strain)"
+    return name, f"{text} {unit}" if unit and text != "not given" else text
+
+
+# Units that names of attributes end in, and those of the parameters of a study.
+_ENDINGS = {
+    "_mm": "mm",
+    "_kPa": "kPa",
+    "_mN": "mN",
+    "_percent": "%",
+    "_mm2": "mm\N{SUPERSCRIPT TWO}",
+}
+_UNITS = {
+    **dict.fromkeys(("c10", "c01"), "kPa"),
+    **dict.fromkeys(("bulk_to_shear", "refractive_index"), "(ratio)"),
+    **dict.fromkeys(
+        (
+            "thickness",
+            "element_size",
+            "extent",
+            "imprint_smoothing",
+            "field_of_view",
+            "pixel_spacing",
+            "window_range",
+            "sample_range",
+            "layer_extent",
+        ),
+        "mm",
+    ),
+}
+
+
+def _is_numeric(value: object) -> bool:
+    if isinstance(value, bool | str) or value is None:
+        return False
+    if isinstance(value, Sequence):
+        return all(_is_numeric(v) for v in value) and len(value) > 0
+    return isinstance(value, int | float | np.number | np.ndarray)
 
 
 def _text(value: object) -> str:

@@ -9,9 +9,11 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 import xarray as xr
 
+from optical_palpation.analysis import Region
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.files import check_target, replacing
 from optical_palpation.palpation.result import StressResult
@@ -27,7 +29,16 @@ if TYPE_CHECKING:
     from optical_palpation.volume import Volume
 
 #: The script of the page; its files share one scope, so their order matters.
-SCRIPTS = ("data.js", "plot.js", "maps.js", "bscans.js", "profiles.js", "page.js")
+SCRIPTS = (
+    "data.js",
+    "plot.js",
+    "maps.js",
+    "stage.js",
+    "bscans.js",
+    "profiles.js",
+    "download.js",
+    "page.js",
+)
 _MARK = "WARNING: "
 
 
@@ -42,6 +53,9 @@ def write_report(
     python: str,
     title: str,
     warnings: Sequence[str],
+    others: Mapping[str, StressResult] | None = None,
+    regions: Sequence[Region] = (),
+    result_file: str | None = None,
 ) -> None:
     """Write a study as one HTML file that needs neither server nor network.
 
@@ -73,11 +87,18 @@ def write_report(
     warnings
         What the reader must know, in plain words. Those of
         :func:`~optical_palpation.present.summarise` are added.
+    others
+        Other results by name, whose difference from this one is shown.
+    regions
+        Regions of interest, for a table and outlines.
+    result_file
+        Name of the NetCDF file of the result beside the report, for a link to it.
 
     Raises
     ------
     InputError
-        If a volume and the boundaries found in it do not have the same pixels.
+        If a volume and the boundaries found in it do not have the same pixels; if another result
+        or a region does not fit to this one.
     OutputError
         If the file cannot be written.
     """
@@ -94,7 +115,10 @@ def write_report(
         if state not in layers:
             raise InputError(f"volumes: {state!r} is neither 'loaded' nor 'unloaded'")
         scans[state], projections[state] = draw_volume(volume, layers[state], state)
-    data = content.map_entries(result, loaded, unloaded, projections)
+    if result_file is not None and Path(result_file).name != result_file:
+        raise InputError(f"result_file: the name of a file beside the report, not {result_file!r}")
+    data = content.map_entries(result, loaded, unloaded, projections, others or {}, regions)
+    headings, region_rows = content.region_rows(result, regions)
     data["convergence"] = content.convergence_rows(result)
 
     summary = summarise(result).splitlines()
@@ -119,6 +143,10 @@ def write_report(
         figures=content.key_figures(result, loaded, unloaded),
         forces=content.force_rows(result),
         methods=list(content.methods(result)),
+        uniform=content.uniform_maps(data["maps"], result),
+        region_headings=headings,
+        regions=region_rows,
+        result_file=None if result_file is None else quote(result_file),
         stress=content.stress_rows(result),
         convergence=data["convergence"],
         parameters=content.parameter_sections(parameters),

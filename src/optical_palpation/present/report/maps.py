@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import zlib
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 #: Pixels along the longer side; of larger maps every second (third, ...) pixel is kept.
-LARGEST = 640
+LARGEST = 1024
+#: Characters of all maps of a page together.
+BYTES = 2_200_000
 
 
 def stride(pixels: int, largest: int = LARGEST) -> int:
@@ -19,7 +22,7 @@ def stride(pixels: int, largest: int = LARGEST) -> int:
     return -(-pixels // largest)
 
 
-def encode_map(field: xr.DataArray, digits: int = 4) -> dict[str, Any]:
+def encode_map(field: xr.DataArray, digits: int = 4, largest: int = LARGEST) -> dict[str, Any]:
     """Return a map with its coordinates as an entry of the page's data.
 
     Parameters
@@ -29,8 +32,10 @@ def encode_map(field: xr.DataArray, digits: int = 4) -> dict[str, Any]:
         numbers are rounded. What is not finite becomes NaN.
     digits
         Significant digits that are kept.
+    largest
+        Pixels along the longer side.
     """
-    field = _evenly(field.transpose("y", "x").sortby(["y", "x"]))
+    field = _evenly(field.transpose("y", "x").sortby(["y", "x"]), largest)
     whole = field.dtype.kind in "bui"
     values = field.values.astype(np.uint8) if whole else field.values
     return {
@@ -61,23 +66,25 @@ def encode_floats(values: NDArray[Any], digits: int) -> dict[str, str]:
     return {"type": "f4", "data": _packed(shuffled.tobytes())}
 
 
-def limits(*fields: xr.DataArray, share: float = 1.0) -> tuple[float, float]:
-    """Return common colour limits: what all but `share` percent at either end lie between."""
-    values = np.concatenate([f.values.ravel() for f in fields])
-    values = values[np.isfinite(values)].astype(float)
-    if values.size == 0:
-        return 0.0, 1.0
-    low, high = (float(v) for v in np.percentile(values, [share, 100.0 - share]))
-    if high - low <= 1e-6 * max(abs(low), abs(high)):
-        # One colour for a constant map, and a scale that can be read.
-        margin = 0.05 * abs(high) or 1.0
-        return low - margin, high + margin
-    return low, high
+def encode_maps(fields: Mapping[str, tuple[xr.DataArray, int]]) -> dict[str, dict[str, Any]]:
+    """Encode maps by name, each with its digits, so that together they stay within ``BYTES``.
+
+    Where they do not, as maps of pure noise would not, one digit less is kept, then all but the
+    first two maps are thinned.
+    """
+    encoded = {name: encode_map(field, digits) for name, (field, digits) in fields.items()}
+    for lost, largest in ((1, LARGEST), (1, LARGEST // 4), (2, LARGEST // 8)):
+        if sum(len(entry["data"]) for entry in encoded.values()) <= BYTES:
+            break
+        for k, (name, (field, digits)) in enumerate(fields.items()):
+            kept = LARGEST if k < 2 else largest
+            encoded[name] = encode_map(field, max(digits - lost, 2), kept)
+    return encoded
 
 
-def _evenly(field: xr.DataArray) -> xr.DataArray:
+def _evenly(field: xr.DataArray, largest: int) -> xr.DataArray:
     """Every n-th pixel, and where they are not evenly spaced, the nearest to places that are."""
-    thin = {axis: slice(None, None, stride(field.sizes[axis])) for axis in ("y", "x")}
+    thin = {axis: slice(None, None, stride(field.sizes[axis], largest)) for axis in ("y", "x")}
     field = field.isel(thin)
     for axis in ("y", "x"):
         at = field[axis].values

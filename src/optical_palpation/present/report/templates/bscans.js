@@ -2,6 +2,7 @@
 
 const boundaries = document.getElementById("lines");
 const zoomed = document.getElementById("zoom");
+const magnified = document.getElementById("magnify");
 
 class ScanPlot extends Plot {
   static async from(block) {
@@ -86,16 +87,30 @@ class ScanPlot extends Plot {
     const brush = this.canvas.getContext("2d");
     const { naturalWidth: nx, naturalHeight: nz } = this.image;
     const [z0, z1] = this.axes.y.range;
+    const [x0, x1] = this.axes.x.range;
     const [top, bottom] = this.whole.y;
+    const [left, right] = this.whole.x;
     const first = ((z0 - top) / (bottom - top)) * nz;
     const tall = ((z1 - z0) / (bottom - top)) * nz;
+    const begin = ((x0 - left) / (right - left)) * nx;
+    const wide = ((x1 - x0) / (right - left)) * nx;
+    brush.imageSmoothingEnabled = wide > this.canvas.width;
     brush.imageSmoothingQuality = "high";
-    brush.drawImage(this.image, 0, first, nx, tall, 0, 0, this.canvas.width, this.canvas.height);
+    brush.drawImage(this.image, begin, first, wide, tall, 0, 0, this.canvas.width, this.canvas.height);
     this.canvas.dataset.row = this.entry.rows[this.index];
+  }
+
+  // What of the width is shown: all of it, or a part about the cursor.
+  window() {
+    const [left, right] = this.whole.x;
+    const half = (right - left) / 2 / Number(magnified.value);
+    const middle = clamp(cursor.x, left + half, right - half);
+    return [middle - half, middle + half];
   }
 
   redraw() {
     this.axes.y.range = zoomed.checked ? this.layer : this.whole.y;
+    this.axes.x.range = this.window();
     super.redraw();
     const { x, y } = this.axes;
     const stretch =
@@ -113,21 +128,20 @@ class ScanPlot extends Plot {
     const [low, high] = this.axes.y.range;
     const parts = [];
     for (const side of ["window", "sample"]) {
-      const all = [];
       const seen = [];
       const unseen = [];
       for (let i = 0; i < n; i++) {
         const depth = lines[side][start + i];
         const inside = depth >= low && depth <= high;
-        const point = [this.toX(x[0] + i * x[1]), inside ? this.toY(depth) : NaN];
+        const at = x[0] + i * x[1];
+        const across = at >= this.axes.x.range[0] - x[1] && at <= this.axes.x.range[1] + x[1];
+        const point = [this.toX(at), inside && across ? this.toY(depth) : NaN];
         const filled = (k) => lines.filled[start + clamp(k, 0, n - 1)];
-        all.push(point);
         seen.push(filled(i) ? [NaN, NaN] : point);
         // One pixel more on either side, so that no gap is left between the two.
         unseen.push(filled(i - 1) || filled(i) || filled(i + 1) ? point : [NaN, NaN]);
       }
       parts.push(
-        svg("path", { class: "under", d: path(all) }),
         svg("path", { class: "boundary unseen", d: path(unseen) }),
         svg("path", { class: `boundary ${side}`, d: path(seen) }),
       );

@@ -29,12 +29,20 @@ class MapPlot extends Plot {
     const title = element("span", {}, entry.title);
     const caption = element("figcaption", { class: "two" }, title, this.output);
     this.figure = element("figure", {}, caption, this.host, this.scale ? this.bar() : this.legend());
-    this.image = this.draw(grid, this.scale ? this.shades() : this.states());
+    this.recolour();
     this.filled = mask && this.draw(mask, (value) => (value ? [0, 0, 0] : null));
   }
 
   step(axis) {
     return axis === "x" ? this.grid.dx : this.grid.dy;
+  }
+
+  // Draw the pixels anew, after a change of limits or colours.
+  recolour() {
+    this.image = this.draw(this.grid, this.scale ? this.shades() : this.states());
+    const below = this.scale ? this.bar() : this.legend();
+    this.figure.lastElementChild.replaceWith(below);
+    if (this.width) this.paint();
   }
 
   value() {
@@ -120,7 +128,10 @@ class MapPlot extends Plot {
     for (let k = 0; k < 256; k += 15) stops.push(`rgb(${palette.slice(3 * k, 3 * k + 3)})`);
     const strip = element("i");
     strip.style.background = `linear-gradient(to right, ${stops})`;
-    const ends = [low, (low + high) / 2, high].map((v) => element("span", {}, shown(v, units)));
+    const places = clamp(Math.ceil(-Math.log10((high - low) / 2000)), 0, 9);
+    const ends = [low, (low + high) / 2, high].map((v) =>
+      element("span", {}, shown(Number(v.toFixed(places)), units)),
+    );
     const label = `Colours from ${shown(low, units)} to ${shown(high, units)}`;
     return element("div", { class: "colours", role: "img", "aria-label": label }, strip, ...ends);
   }

@@ -6,16 +6,25 @@ async function build() {
   const field = span(grids, "extent");
   cursor.limits = span(grids, "centres");
 
-  const plots = Object.entries(data.maps).map(([name, entry]) => {
+  const shown = Object.entries(data.maps).filter(([, entry]) => entry.group);
+  const plots = shown.map(([name, entry]) => {
     const plot = new MapPlot(entry, grids[name], masks[entry.mask], field);
     plot.figure.dataset.map = name;
     document.querySelector(`[data-group="${entry.group}"]`).append(plot.figure);
     return plot;
   });
+  const stage = new Stage(grids, masks, field, () => {
+    for (const plot of [stage, ...plots]) if (plot.scale) plot.recolour();
+    profiles.forEach((plot) => plot.redraw());
+  });
+  document.getElementById("stage").append(stage.figure);
+  linkDownloads(stage);
+  const profiles = [];
   for (const [group, profile] of Object.entries(data.profiles)) {
     const place = document.querySelector(`[data-profile="${group}"]`);
     for (const axis of ["x", "y"]) {
-      place.append(new ProfilePlot(axis, profile, grids, field).figure);
+      profiles.push(new ProfilePlot(axis, profile, grids, field));
+      place.append(profiles.at(-1).figure);
     }
   }
   if (data.convergence.length) {
@@ -24,7 +33,9 @@ async function build() {
   const blocks = [...document.querySelectorAll("script.scan")];
   const scans = await Promise.all(blocks.map((block) => ScanPlot.from(block)));
   if (scans.length) linkScans(scans);
-  linkBar(plots, Object.keys(masks).length > 0);
+  bands.addEventListener("change", () => profiles.forEach((plot) => plot.redraw()));
+  bands.parentElement.hidden = !Object.values(data.profiles).some((p) => Object.keys(p.errors).length);
+  linkBar([stage, ...plots], Object.keys(masks).length > 0);
   const { x, y } = grids[data.profiles.stress.maps[0]].centres;
   cursor.move({ x: middle(x), y: middle(y) });
 }
@@ -64,8 +75,8 @@ function linkScans(scans) {
     label.textContent = `y ${millimetres(main.entry.y[index])}`;
     slider.setAttribute("aria-valuetext", `B-scan ${main.output.textContent}`);
   });
-  for (const input of [boundaries, zoomed]) {
-    input.addEventListener("change", () => scans.forEach((plot) => plot.redraw()));
+  for (const input of [boundaries, zoomed, magnified]) {
+    input.addEventListener("input", () => scans.forEach((plot) => plot.redraw()));
   }
   if (!scans.some((plot) => plot.entry.lines.window)) {
     boundaries.parentElement.hidden = zoomed.parentElement.hidden = true;

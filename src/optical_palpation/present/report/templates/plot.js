@@ -98,17 +98,20 @@ class Plot {
     if (whole <= MARGIN.left + MARGIN.right) return;
     this.width = whole - MARGIN.left - MARGIN.right;
     this.height = Math.round(this.frameHeight(this.width));
-    this.host.style.height = `${this.height + MARGIN.top + MARGIN.bottom}px`;
+    const high = this.height + MARGIN.top + MARGIN.bottom;
+    // By proportions, so that a printed page scales what the screen has drawn.
+    this.host.style.aspectRatio = `${whole} / ${high}`;
+    this.svg.setAttribute("viewBox", `0 0 ${whole} ${high}`);
     const dense = window.devicePixelRatio || 1;
     Object.assign(this.canvas, {
       width: Math.round(this.width * dense),
       height: Math.round(this.height * dense),
     });
     Object.assign(this.canvas.style, {
-      left: `${MARGIN.left}px`,
-      top: `${MARGIN.top}px`,
-      width: `${this.width}px`,
-      height: `${this.height}px`,
+      left: `${(100 * MARGIN.left) / whole}%`,
+      top: `${(100 * MARGIN.top) / high}%`,
+      width: `${(100 * this.width) / whole}%`,
+      height: `${(100 * this.height) / high}%`,
     });
     this.redraw();
   }

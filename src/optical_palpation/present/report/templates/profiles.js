@@ -1,7 +1,9 @@
 // Profiles through the cursor, and the course of the solution.
 
+const bands = document.getElementById("bands");
+
 class ProfilePlot extends Plot {
-  constructor(axis, { label, range, maps }, grids, field) {
+  constructor(axis, { label, range, maps, errors }, grids, field) {
     const margin = 0.06 * (range[1] - range[0]);
     super(
       {
@@ -14,7 +16,7 @@ class ProfilePlot extends Plot {
     );
     this.gridded = true;
     this.canvas.remove();
-    Object.assign(this, { axis, maps, grids });
+    Object.assign(this, { axis, maps, grids, errors });
     this.output = element("output");
     this.title = element("span");
     const names = maps.map((name) =>
@@ -46,6 +48,14 @@ class ProfilePlot extends Plot {
       const points = this.grids[name]
         .along(this.axis, cursor)
         .map(([at, value]) => [this.toX(at), this.toY(clamp(value, low, high))]);
+      if (bands.checked && this.errors[name]) {
+        const error = this.grids[this.errors[name]].along(this.axis, cursor);
+        const values = this.grids[name].along(this.axis, cursor);
+        const edge = (sign) =>
+          values.map(([at, v], k) => [this.toX(at), this.toY(clamp(v + sign * error[k][1], low, high))]);
+        const around = [...edge(1), ...edge(-1).reverse()].filter((p) => p.every(Number.isFinite));
+        curves.push(svg("path", { class: `band ${name}`, d: `${path(around)}Z` }));
+      }
       curves.push(svg("path", { class: `curve ${name}`, d: path(points) }));
       const value = this.grids[name].at(cursor.x, cursor.y);
       if (!(value >= low && value <= high)) continue;

@@ -1,0 +1,329 @@
+// The large map: any layer, its limits and colours, zoom, and lines and rectangles with statistics.
+
+const controls = Object.fromEntries(
+  [...document.querySelectorAll("#stage-controls [id]")].map((e) => [e.id.replace("stage-", ""), e]),
+);
+
+class Stage extends MapPlot {
+  constructor(grids, masks, field, redrawAll) {
+    const name = data.stage[0];
+    super(data.maps[name], grids[name], masks[data.maps[name].mask], field);
+    Object.assign(this, { name, grids, masks, field, redrawAll, shapes: [], tool: "cursor" });
+    this.figure.dataset.stage = name;
+    this.host.id = "stage-plot";
+    this.regions = data.regions;
+    const options = data.stage.map((key) =>
+      element("option", { value: key }, data.maps[key].title),
+    );
+    controls.map.append(...options);
+    controls.colours.append(
+      ...Object.keys(data.colours).map((key) => element("option", { value: key }, key)),
+    );
+    controls.map.addEventListener("change", () => this.choose(controls.map.value));
+    controls.colours.addEventListener("change", () => {
+      this.scale.colours = controls.colours.value;
+      this.redrawAll();
+    });
+    for (const end of ["low", "high"]) {
+      controls[end].addEventListener("change", () => this.limit(end, controls[end].valueAsNumber));
+    }
+    controls.auto.addEventListener("click", () => {
+      Object.assign(this.scale, this.scale.start);
+      this.redrawAll();
+    });
+    controls.whole.addEventListener("click", () => this.zoom(field.x, field.y));
+    for (const input of document.querySelectorAll('input[name="tool"]')) {
+      input.addEventListener("change", () => this.take(input.value));
+    }
+    controls.clear.addEventListener("click", () => this.remove(() => true));
+    this.listenForShapes();
+    this.choose(name);
+  }
+
+  // Show another map.
+  choose(name) {
+    const entry = data.maps[name];
+    const [grid, mask] = [this.grids[name], this.masks[entry.mask]];
+    Object.assign(this, { name, entry, grid, mask, scale: data.scales[entry.scale] });
+    this.figure.dataset.stage = controls.map.value = name;
+    this.figure.querySelector("figcaption span").textContent = entry.title;
+    this.filled = mask && this.draw(mask, (value) => (value ? [0, 0, 0] : null));
+    for (const key of ["low", "high", "colours", "auto"]) controls[key].disabled = !this.scale;
+    this.recolour();
+    this.tell();
+    this.follow();
+  }
+
+  recolour() {
+    super.recolour();
+    if (!this.scale) return;
+    controls.colours.value = this.scale.colours;
+    for (const end of ["low", "high"]) {
+      const span = this.scale.high - this.scale.low;
+      const places = clamp(Math.ceil(-Math.log10(span / 2000)), 0, 9);
+      controls[end].value = Number(this.scale[end].toFixed(places));
+      controls[end].step = Number((span / 50).toPrecision(1));
+    }
+    document.getElementById("stage-units").textContent = this.scale.units;
+  }
+
+  limit(end, value) {
+    const ends = { low: this.scale.low, high: this.scale.high, [end]: value };
+    if (Number.isFinite(value) && ends.low < ends.high) this.scale[end] = value;
+    this.redrawAll();
+  }
+
+  take(tool) {
+    this.tool = tool;
+    // A finger that draws must not scroll the page.
+    this.host.style.touchAction = tool === "cursor" ? "" : "none";
+  }
+
+  zoom(x, y) {
+    this.axes.x.range = x;
+    this.axes.y.range = y;
+    this.redraw();
+  }
+
+  place(event) {
+    const box = this.svg.getBoundingClientRect();
+    const share = {
+      x: clamp((event.clientX - box.left - MARGIN.left) / this.width, 0, 1),
+      y: clamp(1 - (event.clientY - box.top - MARGIN.top) / this.height, 0, 1),
+    };
+    return ["x", "y"].map((axis) => {
+      const [low, high] = this.axes[axis].range;
+      return low + share[axis] * (high - low);
+    });
+  }
+
+  listenForShapes() {
+    const { host } = this;
+    let start = null;
+    const during = (event) => {
+      const end = this.place(event);
+      this.draft = { kind: this.tool === "line" ? "line" : "rectangle", points: [start, end] };
+      this.follow();
+    };
+    host.addEventListener(
+      "pointerdown",
+      (event) => {
+        if (this.tool === "cursor" || event.button !== 0) return;
+        event.stopImmediatePropagation();
+        event.preventDefault();
+        host.setPointerCapture(event.pointerId);
+        start = this.place(event);
+      },
+      true,
+    );
+    host.addEventListener(
+      "pointermove",
+      (event) => {
+        this.hover = this.place(event);
+        if (start) {
+          event.stopImmediatePropagation(); // the cursor stays
+          during(event);
+        } else {
+          this.follow();
+        }
+      },
+      true,
+    );
+    host.addEventListener("pointerleave", () => {
+      this.hover = null;
+      this.follow();
+    });
+    host.addEventListener("pointerup", () => {
+      if (!start) return;
+      start = null;
+      const draft = this.draft;
+      this.draft = null;
+      if (draft) this.finish(draft);
+    });
+    host.addEventListener("pointercancel", () => {
+      start = this.draft = null;
+      this.follow();
+    });
+  }
+
+  finish({ kind, points: [a, b] }) {
+    const low = a.map((v, k) => Math.min(v, b[k]));
+    const high = a.map((v, k) => Math.max(v, b[k]));
+    const wide = [high[0] - low[0], high[1] - low[1]];
+    const least = [this.grid.dx, this.grid.dy];
+    if (this.tool === "zoom") {
+      if (wide[0] > least[0] && wide[1] > least[1]) this.zoom([low[0], high[0]], [low[1], high[1]]);
+    } else if (kind === "line" ? Math.hypot(...wide) > least[0] / 2 : wide[0] * wide[1] > 0) {
+      this.shapes.push({ kind, points: kind === "line" ? [a, b] : [low, high] });
+      this.tell();
+    }
+    this.follow();
+  }
+
+  remove(which) {
+    this.shapes = this.shapes.filter((shape, k) => !which(shape, k));
+    this.tell();
+    this.follow();
+  }
+
+  // Share of a rectangle in each pixel; or places along a line, a pixel apart.
+  weighted({ kind, points: [a, b] }) {
+    const { nx, ny, x0, dx, y0, dy, values } = this.grid;
+    const found = [];
+    if (kind === "line") {
+      const n = Math.max(2, Math.ceil(Math.hypot(b[0] - a[0], b[1] - a[1]) / Math.min(dx, dy)) + 1);
+      for (let k = 0; k < n; k++) {
+        const at = a.map((v, axis) => v + (k / (n - 1)) * (b[axis] - v));
+        found.push([this.grid.at(...at), 1, (k / (n - 1)) * Math.hypot(b[0] - a[0], b[1] - a[1])]);
+      }
+      return found;
+    }
+    const share = (centre, size, low, high) =>
+      clamp((Math.min(centre + size / 2, high) - Math.max(centre - size / 2, low)) / size, 0, 1);
+    for (let j = 0; j < ny; j++) {
+      const inY = share(y0 + j * dy, dy, a[1], b[1]);
+      if (!inY) continue;
+      for (let i = 0; i < nx; i++) {
+        const weight = inY * share(x0 + i * dx, dx, a[0], b[0]);
+        if (weight) found.push([values[j * nx + i], weight]);
+      }
+    }
+    return found;
+  }
+
+  statistics(shape) {
+    const [a, b] = shape.points;
+    const seen = this.weighted(shape).filter(([value]) => Number.isFinite(value));
+    const total = seen.reduce((sum, [, w]) => sum + w, 0);
+    const mean = seen.reduce((sum, [v, w]) => sum + v * w, 0) / total;
+    const square = seen.reduce((sum, [v, w]) => sum + w * (v - mean) ** 2, 0) / total;
+    const inner = seen.filter(([, w]) => w >= 0.5).map(([v]) => v);
+    const extremes = inner.length ? inner : seen.map(([v]) => v);
+    const line = shape.kind === "line";
+    const pixel = this.grid.dx * this.grid.dy;
+    return {
+      shape: shape.kind,
+      x0: a[0],
+      y0: a[1],
+      x1: b[0],
+      y1: b[1],
+      size: line ? Math.hypot(b[0] - a[0], b[1] - a[1]) : (b[0] - a[0]) * (b[1] - a[1]),
+      mean,
+      deviation: Math.sqrt(square),
+      lowest: extremes.reduce((p, q) => Math.min(p, q), Infinity),
+      highest: extremes.reduce((p, q) => Math.max(p, q), -Infinity),
+      force: !line && this.entry.force ? this.entry.force * mean * total * pixel : NaN,
+    };
+  }
+
+  // The table of lines and rectangles.
+  tell() {
+    const units = this.scale?.units ?? "";
+    const body = document.querySelector("#shapes tbody");
+    document.getElementById("shapes").hidden = !this.shapes.length;
+    document.getElementById("shapes-caption").textContent =
+      this.entry.title + (units ? `, ${units}` : "");
+    body.replaceChildren(
+      ...this.shapes.map((shape, k) => {
+        const s = this.statistics(shape);
+        const size = shape.kind === "line" ? "mm" : "mm\u00b2";
+        const gone = element("button", { type: "button", "aria-label": `Remove ${k + 1}` }, "\u00d7");
+        gone.addEventListener("click", () => this.remove((_, n) => n === k));
+        const cells = [
+          `${k + 1} ${s.shape}`,
+          shown(s.size, size),
+          `${shown(s.mean)} \u00b1 ${shown(Number(s.deviation.toPrecision(2)))}`,
+          shown(s.lowest),
+          shown(s.highest),
+          Number.isFinite(s.force) ? shown(s.force, "mN") : "",
+        ].map((text, n) => element(n ? "td" : "th", n ? {} : { scope: "row" }, text));
+        return element("tr", {}, ...cells, element("td", {}, gone));
+      }),
+    );
+    this.course();
+  }
+
+  // Values along the last line.
+  course() {
+    const last = this.shapes.findLast((shape) => shape.kind === "line");
+    const target = document.getElementById("course");
+    target.hidden = !last || !this.scale;
+    if (target.hidden) return;
+    const points = this.weighted(last).map(([value, , at]) => [at, value]);
+    const label = `${this.entry.title}${this.scale.units ? ` (${this.scale.units})` : ""}`;
+    target.replaceChildren(new CoursePlot(points, label).figure);
+  }
+
+  follow() {
+    const at = this.hover ?? [cursor.x, cursor.y];
+    const value = this.grid.at(...at);
+    const name = this.scale ? shown(value, this.scale.units) : (data.states[value] ?? "no value");
+    const filled = this.mask && this.mask.at(...at) === 1 ? " (filled)" : "";
+    this.output.textContent = `x ${millimetres(at[0])}, y ${millimetres(at[1])}: ${name}${filled}`;
+    if (!this.width) return;
+    const parts = [...this.cross()];
+    for (const { name: label, outlines } of this.regions) {
+      for (const outline of outlines) parts.push(...this.outline(outline, true, label));
+    }
+    [...this.shapes, ...(this.draft ? [this.draft] : [])].forEach(({ kind, points: [a, b] }, k) => {
+      const corners = kind === "line" ? [a, b] : [a, [b[0], a[1]], b, [a[0], b[1]]];
+      parts.push(...this.outline(corners, kind !== "line", String(k + 1)));
+    });
+    this.overlay.replaceChildren(...parts, ...this.scaleBar());
+  }
+
+  outline(corners, closed, label) {
+    const at = corners.map(([x, y]) => [this.toX(x), this.toY(y)]);
+    const d = path(at) + (closed ? "Z" : "");
+    const words = text(label, at[0][0] + 5, at[0][1] - 5, "start");
+    words.setAttribute("class", "label");
+    return [svg("path", { class: "halo hollow", d }), svg("path", { class: "shape", d }), words];
+  }
+
+  // A round length of about a quarter of the frame.
+  scaleBar() {
+    const [low, high] = this.axes.x.range;
+    const rough = (high - low) / 4;
+    const power = 10 ** Math.floor(Math.log10(rough));
+    const length = [5, 2, 1].find((m) => m * power <= rough * 1.001) * power;
+    const wide = (length / (high - low)) * this.width;
+    const right = MARGIN.left + this.width - 12;
+    const bottom = MARGIN.top + this.height - 12;
+    const name = length < 0.1 ? `${Number((1000 * length).toPrecision(3))} \u00b5m` : `${length} mm`;
+    const words = text(name, right - wide / 2, bottom - 9);
+    words.setAttribute("class", "label");
+    return [
+      svg("rect", { class: "plate", x: right - wide - 8, y: bottom - 26, width: wide + 16, height: 34 }),
+      svg("rect", { class: "scale-bar", x: right - wide, y: bottom - 4, width: wide, height: 5 }),
+      words,
+    ];
+  }
+}
+
+// Values against the distance along a line.
+class CoursePlot extends Plot {
+  constructor(points, label) {
+    const values = points.map(([, v]) => v).filter(Number.isFinite);
+    const [low, high] = [Math.min(...values), Math.max(...values)];
+    const margin = 0.06 * (high - low) || 1;
+    super(
+      {
+        x: { range: [0, points.at(-1)[0]], label: "distance along the line (mm)" },
+        y: { range: values.length ? [low - margin, high + margin] : [0, 1], label },
+      },
+      () => 170,
+      { x: null, y: null },
+      "",
+    );
+    this.gridded = true;
+    this.canvas.remove();
+    this.points = points;
+    this.figure = element("figure", {}, this.host);
+  }
+
+  follow() {
+    if (!this.width) return;
+    const d = path(this.points.map(([x, y]) => [this.toX(x), this.toY(y)]));
+    this.overlay.replaceChildren(svg("path", { class: "curve computational", d }));
+  }
+}
