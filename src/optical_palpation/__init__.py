@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from optical_palpation.kernel_cache import provide_kernel_cache
-
 if TYPE_CHECKING:
     from optical_palpation.analysis import Region, compare_results, read_regions, stress_uncertainty
     from optical_palpation.errors import OpticalPalpationError
@@ -25,9 +23,6 @@ if TYPE_CHECKING:
         thickness_map,
     )
     from optical_palpation.volume import open_volume
-
-provide_kernel_cache()
-del provide_kernel_cache
 
 __all__ = [
     "MooneyRivlin",
@@ -78,9 +73,9 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     if name == "__version__":
-        from importlib.metadata import version
+        from optical_palpation.runtime import software_version
 
-        return version("optical-palpation")
+        return software_version()
     if name in _HOMES:
         value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
         globals()[name] = value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -53,9 +54,10 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     check_target(path)
     target = Path(os.path.realpath(path))  # a link stays a link
-    temporary = target.with_name(f".{target.stem[:40]}.{os.getpid()}{target.suffix}")
+    temporary = _temporary(target)
     try:
         yield temporary
+        _to_disk(temporary)
         os.replace(temporary, target)
     except OSError as error:
         reason = error.strerror or error
@@ -64,3 +66,29 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def is_left_over_of(name: str, target: str) -> bool:
+    """Tell by its name whether a file is what an ended process had begun to write for a target."""
+    whole = Path(target)
+    pattern = (
+        rf"\.{re.escape(whole.stem[:40])}\.\d+-[0-9a-f]{{8}}\.partial{re.escape(whole.suffix)}"
+    )
+    return re.fullmatch(pattern, name) is not None
+
+
+def readable_name(path: str | os.PathLike[str]) -> str:
+    r"""Name of a file as text that any file can hold: bytes that are no UTF-8 become ``\xff``."""
+    return os.fsencode(Path(path).name).decode("utf-8", "backslashreplace")
+
+
+def _temporary(target: Path) -> Path:
+    """A name that no other process or thread uses, nor a user; programs go by its ending."""
+    token = os.urandom(4).hex()
+    return target.with_name(f".{target.stem[:40]}.{os.getpid()}-{token}.partial{target.suffix}")
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until the content has reached the disk: only then may it take the old one's place."""
+    with path.open("rb+") as stream:
+        os.fsync(stream.fileno())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import NotConverged, Tolerances, equilibrate
 from optical_palpation.mechanics.problem import SAMPLE, LayerProblem
+from optical_palpation.runtime import software_version
 from optical_palpation.volume import hdf5
 
 Array = NDArray[np.float64]
@@ -235,7 +235,7 @@ def write_calibration(calibration: xr.DataArray, path: str | Path) -> None:
     dataset = calibration.to_dataset(name="normalised_displacement")
     dataset.attrs = {
         "software": "optical-palpation",
-        "software_version": version("optical-palpation"),
+        "software_version": software_version(),
     }
     content = dataset.to_netcdf(engine="h5netcdf")
     with replacing(path) as temporary:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Literal, TextIO
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from optical_palpation.errors import InputError
 from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem
 from optical_palpation.present.output import atomic
+from optical_palpation.runtime import software_version
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int_]
@@ -281,7 +281,7 @@ def _write_heading(file: TextIO, problem: LayerProblem) -> None:
     file.write(f"""\
 *HEADING
 Compliant layer pressed between a window and an imprint (optical palpation)
-** Written by optical-palpation {version("optical-palpation")}, for CalculiX and Abaqus/Standard.
+** Written by optical-palpation {software_version()}, for CalculiX and Abaqus/Standard.
 ** Units: mm, kPa, mN. z = 0 at the window, z = L0 at the sample side; tension positive.
 ** Layer of {nx} x {ny} x {nz} elements, {problem.edges} edges; shear modulus
 ** {problem.shear_modulus:.9g} kPa, bulk modulus {problem.bulk_modulus:.9g} kPa; friction

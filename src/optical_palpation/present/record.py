@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from optical_palpation.friction.estimate import FrictionEstimate
 from optical_palpation.material.fitting import UniaxialFit
 from optical_palpation.present.output import atomic
+from optical_palpation.runtime import software_version
 
 
 def write_fits(fits: Sequence[UniaxialFit], path: str | Path, **about: Any) -> None:
@@ -75,7 +75,7 @@ def write_friction(estimate: FrictionEstimate, path: str | Path, **about: Any) -
 
 
 def _write(path: str | Path, record: Mapping[str, Any]) -> None:
-    about = {"software": "optical-palpation", "software_version": version("optical-palpation")}
+    about = {"software": "optical-palpation", "software_version": software_version()}
     # NumPy's numbers and arrays say by themselves what they are as plain ones.
     text = json.dumps(about | dict(record), indent=2, allow_nan=False, default=lambda v: v.tolist())
     with atomic(path, "record") as temporary:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from pathlib import Path
 
 import xarray as xr
 
 from optical_palpation.present.output import atomic
+from optical_palpation.runtime import software_version
 
 _NAMES = {
     "axial_stress": "axial Cauchy stress at the sample, tension positive",
@@ -32,7 +32,7 @@ def write_uncertainty(uncertainty: xr.Dataset, path: str | Path) -> None:
     dataset.attrs = {
         "Conventions": "CF-1.11",
         "software": "optical-palpation",
-        "software_version": version("optical-palpation"),
+        "software_version": software_version(),
         **uncertainty.attrs,
     }
     compressed = {name: {"zlib": True} for name, v in dataset.data_vars.items() if v.ndim > 1}

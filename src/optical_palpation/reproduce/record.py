@@ -7,13 +7,13 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 
 import psutil
 
 from optical_palpation.errors import InputError
 from optical_palpation.files import replacing
+from optical_palpation.runtime import software_version
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def run_part(name: str, make: Callable[[Setting], Part], setting: Setting) -> No
     started = time.monotonic()
     part = make(setting)
     record = asdict(part) | {
-        "software_version": version("optical-palpation"),
+        "software_version": software_version(),
         "quick": setting.quick,
         "seconds": round(time.monotonic() - started, 1),
         "processors": psutil.cpu_count(logical=True),

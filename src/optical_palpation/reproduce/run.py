@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 from optical_palpation.errors import ConvergenceError, InputError, OutputError
@@ -16,6 +15,7 @@ from optical_palpation.reproduce.page import write_page
 from optical_palpation.reproduce.record import Part, Setting, load_part, run_part
 from optical_palpation.reproduce.resolution import resolution
 from optical_palpation.reproduce.total_stress import total_stress
+from optical_palpation.runtime import software_version
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def reproduce(
     for name in only or PARTS:
         known = load_part(name, folder)
         current = known is not None and (
-            known["quick"] == quick and known["software_version"] == version("optical-palpation")
+            known["quick"] == quick and known["software_version"] == software_version()
         )
         if current and not again:
             continue

@@ -6,7 +6,6 @@ import hashlib
 import os
 import re
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +14,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.errors import InputError
-from optical_palpation.files import replacing
+from optical_palpation.files import readable_name, replacing
+from optical_palpation.runtime import software_version
 from optical_palpation.thickness.formats import Variable, read_variables
 from optical_palpation.thickness.frames import check_kind, checked_values, thickness_map
 
@@ -104,7 +104,7 @@ def read_thickness_map(
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     result.attrs |= {
-        "source": path.name,
+        "source": readable_name(path),
         "source_sha256": digest,
         "source_variable": name,
         "source_length_unit": unit,
@@ -126,7 +126,7 @@ def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.Pat
     dataset = thickness.to_dataset() if isinstance(thickness, xr.DataArray) else thickness.copy()
     dataset.attrs |= {
         "software": "optical-palpation",
-        "software_version": version("optical-palpation"),
+        "software_version": software_version(),
         "axis_order": "(y, x)",
     }
     encoding = {name: {"zlib": True} for name in dataset.data_vars}

@@ -6,7 +6,6 @@ import base64
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
@@ -21,6 +20,7 @@ from optical_palpation.present.output import provenance
 from optical_palpation.present.report import content
 from optical_palpation.present.report.bscans import draw_volume
 from optical_palpation.present.summary import summarise
+from optical_palpation.runtime import software_version
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -130,7 +130,7 @@ def write_report(
     )
     page = environment.get_template("report.html").stream(
         title=title,
-        version=version("optical-palpation"),
+        version=software_version(),
         script=script,
         script_hash=_hash(script),
         style=style,
