@@ -45,7 +45,11 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from optical_palpation.runtime.kernels import keep_kernels
+
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
+
+keep_kernels()
 
 Array = NDArray[np.float64]
 

@@ -13,6 +13,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from optical_palpation.errors import InputError
+from optical_palpation.runtime.kernels import keep_kernels
+
+keep_kernels()
 
 Scale = Literal["linear", "dB"]
 Read = Callable[[int], NDArray[np.float32]]

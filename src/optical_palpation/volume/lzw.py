@@ -10,6 +10,10 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from optical_palpation.runtime.kernels import keep_kernels
+
+keep_kernels()
+
 _CLEAR, _END = 256, 257
 
 
