@@ -68,6 +68,11 @@ def made_again(before, folder):
     return {name for name, stage in stages(folder).items() if before.get(name) != stage}
 
 
+def listed(folder):
+    """Names of the files of a result folder; its lock is hidden and stays."""
+    return {path.name for path in folder.iterdir()} - {".lock"}
+
+
 def rms(a):
     return float(np.sqrt(np.mean(np.asarray(a) ** 2)))
 
@@ -92,7 +97,7 @@ def test_from_new_to_results(here, run):
     (here / "study.toml").write_text(text)
     status, out, err = run("run", "study.toml")
     assert status == 0
-    assert {path.name for path in (here / "study-results").iterdir()} == FILES
+    assert listed(here / "study-results") == FILES
     for words in ("boundaries of the unloaded layer: 100%", "load 100%", "report"):
         assert words in err
     for words in ("total force: window", "WARNING", "could not be measured", "stress.nc"):
@@ -197,7 +202,7 @@ def test_a_changed_volume_is_noticed(done, run):
     assert again == OF_LOADED
     assert json.loads((done / "provenance.json").read_text())["complete"] is False
     # What the stress was made of is gone, and so is the stress.
-    assert {path.name for path in done.iterdir()} == {
+    assert listed(done) == {
         *again,
         *("boundaries-unloaded.nc", "boundaries-unloaded.png", "provenance.json"),
     }
@@ -221,7 +226,7 @@ def test_the_thickness_first_and_the_stress_later(here, run):
     assert status == 0
     assert "stress" not in out
     results = here / "study-results"
-    names = {path.name for path in results.iterdir()}
+    names = listed(results)
     assert names == {name for name in FILES if "boundaries" in name} | {
         "thickness.nc",
         "provenance.json",
@@ -229,7 +234,7 @@ def test_the_thickness_first_and_the_stress_later(here, run):
     before = stages(results)
     assert run("run", "study.toml", "--quiet") == (0, "", "")
     assert not set(before) & made_again(before, results)
-    assert {path.name for path in results.iterdir()} == FILES
+    assert listed(results) == FILES
 
 
 def test_the_thickness_alone_leaves_a_finished_study_as_it_is(done, run):
@@ -243,7 +248,7 @@ def test_files_that_are_no_longer_asked_for_go(done, run):
     make_study(done.parent, STUDY + '[outputs]\nwrite = ["panel", "report"]\n')
     assert run("run", "study.toml")[0] == 0
     assert not made_again(before, done)
-    assert {path.name for path in done.iterdir()} == FILES - {"layer.vts", "profiles.csv"}
+    assert listed(done) == FILES - {"layer.vts", "profiles.csv"}
 
 
 def test_maps_and_numbers_in_place_of_volumes(here, run):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
 
 from optical_palpation.errors import InputError
+from optical_palpation.files import readable_name
 from optical_palpation.palpation import read_sample_motion, uniform_motion
 from optical_palpation.study.record import sha256
 from optical_palpation.study.schema import MapInput, Study, VolumeInput, Volumes
@@ -49,7 +50,7 @@ def find_boundaries(
     if corrections is not None:
         used["corrections_sha256"] = sha256(corrections)
     return found.assign_attrs(
-        source=volume.metadata.path.name,
+        source=readable_name(volume.metadata.path),
         source_sha256=volume.sha256,
         volume=json.dumps(described(volume)),
         parameters=json.dumps(used),
@@ -58,7 +59,7 @@ def find_boundaries(
 
 def described(volume: Volume) -> dict[str, Any]:
     """Metadata of a volume as JSON takes them."""
-    metadata = vars(volume.metadata) | {"path": volume.metadata.path.name}
+    metadata = vars(volume.metadata) | {"path": readable_name(volume.metadata.path)}
     return {key: list(v) if isinstance(v, tuple) else v for key, v in metadata.items()}
 
 
@@ -108,6 +109,59 @@ def motion_facts(study: Study) -> dict[str, Any]:
     if motion is None:
         return {}
     return {"sample": sha256(study.path(motion)) if isinstance(motion, str) else motion}
+
+
+class Unchanged:
+    """Sees to it that the files of a study stay what they were when they were hashed.
+
+    Make it before the hashes are taken, and call it afterwards: now and then while they are used,
+    and at last.
+
+    Parameters
+    ----------
+    study
+        The study whose files it watches.
+    """
+
+    def __init__(self, study: Study) -> None:
+        self._study = study
+        self._before = {path: _state(path) for path in _paths(study)}
+
+    def __call__(self) -> None:
+        """Raise if a file has changed.
+
+        Raises
+        ------
+        InputError
+            With the name of the file.
+        """
+        for path, before in self._before.items():
+            if _state(path) != before:
+                raise InputError(
+                    f"{path} has changed while the study was worked on: the results would mix what "
+                    "it was with what it is. Nothing made of the change was kept; run the study "
+                    "again once the file stays as it is"
+                )
+
+
+def _paths(study: Study) -> Iterator[Path]:
+    """Every file or folder that the study reads, itself excepted."""
+    for source in study.inputs.values():
+        yield study.path(source.map if isinstance(source, MapInput) else source.volume)
+        if isinstance(source, VolumeInput) and source.corrections:
+            yield study.path(source.corrections)
+    if isinstance(study.sample.motion, str):
+        yield study.path(study.sample.motion)
+
+
+def _state(path: Path) -> list[tuple[str, int, int, int]] | None:
+    """What tells that a file, or one in a folder, was written to or replaced; None: it is gone."""
+    try:
+        files = sorted(path.rglob("*")) if path.is_dir() else [path]
+        stats = [(str(file), file.stat()) for file in files]
+    except OSError:
+        return None
+    return [(name, s.st_ino, s.st_size, s.st_mtime_ns) for name, s in stats]
 
 
 def parameters(study: Study) -> dict[str, Any]:

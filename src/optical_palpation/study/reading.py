@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
+import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -59,7 +61,8 @@ def read_study(path: str | Path, changes: Mapping[str, object] | None = None) ->
     """
     path = Path(path)
     try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = path.read_bytes()
+        given = tomllib.loads(content.decode("utf-8"))
     except FileNotFoundError:
         raise InputError(
             f"{path}: no such file; 'optical-palpation new {path}' writes one to begin with"
@@ -68,7 +71,10 @@ def read_study(path: str | Path, changes: Mapping[str, object] | None = None) ->
         raise InputError(f"{path}: is no valid TOML: {error}") from error
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: the study file cannot be read ({error})") from error
-    return make_study(changed(given, changes or {}), path)
+    study = make_study(changed(given, changes or {}), path)
+    if not changes:
+        study._sha256 = hashlib.sha256(content).hexdigest()
+    return study
 
 
 def changed(given: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
@@ -130,6 +136,8 @@ def make_study(given: Mapping[str, Any], file: Path) -> Study:
         problems = "\n".join(dict.fromkeys(f"  {line}" for line in _problems(error, given)))
         raise InputError(f"{file}: cannot be used:\n{problems}") from None
     study._file = file
+    said = json.dumps(given, sort_keys=True, default=str)
+    study._sha256 = hashlib.sha256(said.encode("utf-8", "surrogatepass")).hexdigest()
     _check(study)
     return study
 

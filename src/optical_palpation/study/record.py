@@ -1,8 +1,10 @@
 """The result folder and its record: what was made of what, and what is still valid.
 
 Every stage makes one file. The record, ``provenance.json``, names a file only after it is complete,
-with its hash and with a key, the hash of all that the file depends on. Files are replaced and never
-written in place, so that the folder can be left at any moment and taken up again.
+with its hash and with a key, the hash of all that the file depends on: the parameters, the inputs
+and the source of the code that makes it. Files are replaced and never written in place, so that the
+folder can be left at any moment and taken up again. One run works in a folder at a time: it holds a
+lock that the system releases should the process die.
 """
 
 from __future__ import annotations
@@ -10,21 +12,23 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-import re
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import psutil
+from filelock import FileLock, Timeout
 
 from optical_palpation.errors import ConvergenceError, InputError, OutputError
-from optical_palpation.files import replacing
+from optical_palpation.files import is_left_over_of, replacing
+from optical_palpation.runtime import software_version, source_digest
 
 RECORD = "provenance.json"
+_LOCK = ".lock"
 _PACKAGES = ("optical-palpation", "numpy", "scipy", "numba", "xarray", "h5py", "scikit-image")
 
 
@@ -56,12 +60,15 @@ class Stage:
         Files of earlier stages that it is made from.
     make
         Called with the path and a function to tell the progress to.
+    code
+        Parts of the package that make it, as :func:`source_digest` takes them.
     """
 
     file: str
     facts: Mapping[str, object]
     needs: Sequence[str]
     make: Make
+    code: Sequence[str] = field(kw_only=True)
 
 
 def make_all(
@@ -71,6 +78,8 @@ def make_all(
     stages: Sequence[Stage],
     tell: Tell,
     until: str | None = None,
+    *,
+    check_inputs: Callable[[], None] = lambda: None,
 ) -> tuple[list[str], list[str]]:
     """Make the files that are not there yet, and remove those that are no longer true.
 
@@ -88,6 +97,9 @@ def make_all(
         Called with a :class:`Progress` now and then.
     until
         Last file to make; all of them by default.
+    check_inputs
+        Called when a file is made and before it counts as done; raises if the inputs are no longer
+        those that `about` and the stages tell of.
 
     Returns
     -------
@@ -99,12 +111,28 @@ def make_all(
     Raises
     ------
     OutputError
-        If the folder cannot be made or holds something else.
+        If the folder cannot be made or holds something else, or another run works in it.
     """
-    known = _open(folder, study)
+    _open(folder, study)
+    with _alone(folder):
+        # what it holds may have changed before the lock was ours
+        known = _open(folder, study)
+        return _make_all(folder, study, about, stages, known, tell, until, check_inputs)
+
+
+def _make_all(
+    folder: Path,
+    study: str,
+    about: Mapping[str, object],
+    stages: Sequence[Stage],
+    known: Mapping[str, Any],
+    tell: Tell,
+    until: str | None,
+    check_inputs: Callable[[], None],
+) -> tuple[list[str], list[str]]:
     keys: dict[str, str] = {}
     for stage in stages:
-        parts = [version("optical-palpation"), stage.file, stage.facts]
+        parts = [source_digest(*stage.code), stage.file, stage.facts]
         text = json.dumps([*parts, [keys[file] for file in stage.needs]], sort_keys=True)
         keys[stage.file] = hashlib.sha256(text.encode()).hexdigest()
     done = {
@@ -117,6 +145,7 @@ def make_all(
     }
     record = {
         "software": "optical-palpation",
+        "software_version": software_version(),
         "study": study,
         "complete": False,
         **about,
@@ -129,18 +158,21 @@ def make_all(
     _write(folder, record)
     for file in (known.keys() | keys.keys()) - done.keys():
         (folder / file).unlink(missing_ok=True)
-    _remove_leftovers(folder)
+    _remove_leftovers(folder, [RECORD, *known, *keys])
     for stage in stages[: 1 + list(keys).index(until) if until else None]:
         if stage.file in done:
             continue
         started = time.monotonic()
         try:
             stage.make(folder / stage.file, tell)
+            check_inputs()
         except (InputError, ConvergenceError) as error:
+            (folder / stage.file).unlink(missing_ok=True)
             raise type(error)(f"{study}: {error}") from error
         done[stage.file] = {
             "key": keys[stage.file],
             "sha256": sha256(folder / stage.file),
+            "software_version": software_version(),
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
             "seconds": round(time.monotonic() - started, 2),
         }
@@ -192,9 +224,30 @@ def _write(folder: Path, record: Mapping[str, object]) -> None:
         temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 
-def _remove_leftovers(folder: Path) -> None:
-    """Remove the temporary files of runs that were killed."""
+def _remove_leftovers(folder: Path, files: Sequence[str]) -> None:
+    """Remove what runs that were killed had begun to write of these files, and nothing else."""
     for path in folder.glob(".*"):
-        process = re.fullmatch(r"\..+\.(\d+)(\.\w+)?", path.name)
-        if process and not psutil.pid_exists(int(process[1])):
+        if any(is_left_over_of(path.name, file) for file in files):
             path.unlink(missing_ok=True)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Hold the folder's lock."""
+    lock = FileLock(folder / _LOCK, blocking=False, thread_local=False)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise OutputError(
+            f"{folder}: another run works in this folder; wait until it has finished, or choose "
+            "another folder in [outputs]"
+        ) from None
+    except (OSError, NotImplementedError) as error:
+        raise OutputError(
+            f"{folder}: cannot be locked against other runs ({error}); choose another folder in "
+            "[outputs]"
+        ) from error
+    try:
+        yield
+    finally:
+        lock.release()

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from optical_palpation.errors import InputError
-from optical_palpation.study.inputs import facts, parameters, read_motion
+from optical_palpation.study.inputs import Unchanged, facts, parameters, read_motion
 from optical_palpation.study.record import Progress, make_all
 from optical_palpation.study.schema import Study
 from optical_palpation.study.stages import THICKNESS, Stages
@@ -43,8 +42,8 @@ def run_study(
     """Do everything that a study file asks for; go on where an earlier run was interrupted.
 
     A file of the result folder is made anew if it is not there or damaged, or if anything that it
-    depends on has changed: an input file, a parameter, the version of the software. The record
-    ``provenance.json`` tells all of these, and ``complete`` in it whether the folder is.
+    depends on has changed: an input file, a parameter, the part of the software that makes it. The
+    record ``provenance.json`` tells all of these, and ``complete`` in it whether the folder is.
 
     Parameters
     ----------
@@ -60,14 +59,15 @@ def run_study(
     Raises
     ------
     InputError, MaterialError
-        If an input cannot be used.
+        If an input cannot be used, or changes while it is worked on.
     ConvergenceError
         If the full load is not reached.
     OutputError
-        If the result folder cannot be written, or holds something else.
+        If the result folder cannot be written, or holds something else, or another run works in it.
     """
     tell = progress or (lambda report: None)
     tell(Progress("reading the inputs", 0.0))
+    unchanged = Unchanged(study)
     inputs = {}
     for side, source in study.inputs.items():
         try:
@@ -76,11 +76,14 @@ def run_study(
             raise InputError(f"{study.file}, [{side}]: {error}") from error
     read_motion(study)  # should the file be useless, that is better known before all the work
     about = {
-        "study_sha256": hashlib.sha256(study.file.read_bytes()).hexdigest(),
+        "study_sha256": study.sha256,
         "parameters": parameters(study),
         "inputs": inputs,
     }
+    unchanged()
     stages = Stages(study).plan(inputs)
     until = THICKNESS if thickness_only else None
-    files, earlier = make_all(study.folder, study.file.name, about, stages, tell, until)
+    files, earlier = make_all(
+        study.folder, study.file.name, about, stages, tell, until, check_inputs=unchanged
+    )
     return StudyResult(study.folder, tuple(files), tuple(earlier))

@@ -176,11 +176,17 @@ class Study(Table):
     grid: Grid
     outputs: Outputs = Outputs()
     _file: Path = PrivateAttr()
+    _sha256: str = PrivateAttr()
 
     @property
     def file(self) -> Path:
         """The study file."""
         return self._file
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the study file as it was read, or of its tables if it was not; hex."""
+        return self._sha256
 
     @property
     def folder(self) -> Path:

@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from optical_palpation import present
+from optical_palpation.files import readable_name
 from optical_palpation.palpation import algebraic_result, computational_stress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.study.inputs import (
@@ -44,6 +45,11 @@ from optical_palpation.thickness import (
 THICKNESS, ALGEBRAIC, STRESS = "thickness.nc", "algebraic.nc", "stress.nc"
 _NOTABLE_FILLED = 0.02
 _NOTABLE_IMBALANCE = 0.01
+# What makes the files: a change there makes them anew.
+_HERE = ("study/stages.py", "study/inputs.py")
+_FINDING = ("thickness", "volume", *_HERE)
+_SOLVING = ("palpation", "present/netcdf.py", "present/output.py", *_HERE)
+_SHOWING = ("present", *_HERE)
 
 
 @dataclass(frozen=True)
@@ -64,31 +70,37 @@ class Stages:
         stages, found = [], []
         for side in by_side(study):
             found.append(f"boundaries-{side}.nc")
-            stages.append(Stage(found[-1], inputs[side], (), self._boundaries(side)))
+            stages.append(Stage(found[-1], inputs[side], (), self._boundaries(side), code=_FINDING))
             picture = f"boundaries-{side}.png"
-            stages.append(Stage(picture, inputs[side], found[-1:], self._picture(side)))
+            make = self._picture(side)
+            stages.append(Stage(picture, inputs[side], found[-1:], make, code=_SHOWING))
         facts: dict[str, Any] = {"layer": study.layer.model_dump(mode="json")}
         facts |= {side: inputs[side] for side in inputs if side not in by_side(study)}
         if isinstance(study.unloaded, NumberInput):
             facts["unloaded"] = study.unloaded.thickness
-        stages.append(Stage(THICKNESS, facts, found, self._thickness))
+        stages.append(Stage(THICKNESS, facts, found, self._thickness, code=_FINDING))
         tables = {
             name: getattr(study, name).model_dump(mode="json")
             for name in ("material", "friction", "grid")
         }
-        stages.append(
-            Stage(ALGEBRAIC, {"material": tables["material"]}, [THICKNESS], self._algebraic)
-        )
+        facts = {"material": tables["material"]}
+        stages.append(Stage(ALGEBRAIC, facts, [THICKNESS], self._algebraic, code=_SOLVING))
         facts = tables | motion_facts(study)
-        stages.append(Stage(STRESS, facts, [THICKNESS], self._computational))
+        stages.append(Stage(STRESS, facts, [THICKNESS], self._computational, code=_SOLVING))
         everything = parameters(study)
         del everything["outputs"]
         makers = {
-            "panel": Stage("stress.png", {}, [STRESS], _from_result(present.write_panel)),
-            "vtk": Stage("layer.vts", {}, [STRESS], _from_result(present.write_vtk)),
-            "profiles": Stage("profiles.csv", {}, [STRESS], _from_result(present.write_profiles)),
-            "report": Stage("report.html", everything, [*found, THICKNESS, STRESS], self._report),
+            kind: Stage(name, {}, [STRESS], _from_result(write), code=_SHOWING)
+            for kind, name, write in (
+                ("panel", "stress.png", present.write_panel),
+                ("vtk", "layer.vts", present.write_vtk),
+                ("profiles", "profiles.csv", present.write_profiles),
+            )
         }
+        needs = [*found, THICKNESS, STRESS]
+        makers["report"] = Stage(
+            "report.html", everything, needs, self._report, code=("study/script.py", *_SHOWING)
+        )
         return stages + [makers[kind] for kind in makers if kind in study.outputs.write]
 
     def _boundaries(self, side: str) -> Make:
@@ -246,7 +258,7 @@ class Stages:
                 volumes=volumes or None,
                 parameters=parameters(self.study),
                 python=reproducing_lines(self.study),
-                title=self.study.title or self.study.file.stem,
+                title=self.study.title or Path(readable_name(self.study.file)).stem,
                 warnings=warnings_about(result),
                 result_file=STRESS,
             )
