@@ -24,5 +24,9 @@ class OutputError(OpticalPalpationError, OSError):
     """A result could not be written."""
 
 
+class IncompleteOutputError(OutputError):
+    """Some results could not be written; the message tells which were."""
+
+
 class ConvergenceError(OpticalPalpationError, RuntimeError):
     """The mechanical solution could not reach the full load."""

@@ -2,21 +2,81 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from typing import Any, cast
 
 import numba as nb
 from llvmlite import ir
+from llvmlite.binding import Linkage
 from numba import extending
 from numba.core import cgutils, types
+
+from optical_palpation.errors import InputError
+from optical_palpation.runtime.environment import check_environment
+from optical_palpation.runtime.kernels import keep_kernels
+
+keep_kernels()
 
 # By its own annotations callers would have to pass the typing context.
 intrinsic: Any = extending.intrinsic
 
 
-def _launch_threads() -> None:
-    """Launch numba's threads, which tells the linker where they are."""
-    nb.get_num_threads()
+_launched_by: int | None = None
+
+
+def launch_threads() -> None:
+    """Launch numba's threads, which tells the linker where they are.
+
+    Raises
+    ------
+    InputError
+        If the environment variables of numba ask for what there is not.
+    """
+    global _launched_by
+    if _launched_by is None:
+        check_environment()
+        try:
+            nb.get_num_threads()
+        except ValueError as error:  # such as a threading layer that is not installed
+            raise InputError(
+                f"numba cannot launch its threads ({error}); unset NUMBA_THREADING_LAYER"
+            ) from error
+        _launched_by = os.getpid()
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=_alone_after_fork)
+
+
+def is_fork() -> bool:
+    """Whether the process is the copy of one that had launched threads: it has none of them.
+
+    Nor can it launch any, as far as GNU OpenMP goes. Kernels run on its only thread.
+    """
+    return _launched_by not in (None, os.getpid())
+
+
+def _alone_after_fork() -> None:
+    nb.set_num_threads(1)
+
+
+def _keep_to_itself(library):
+    """Let a library use its own copies of the functions that it calls.
+
+    They are otherwise shared by name with those of libraries that were loaded earlier, which are
+    optimised elsewhere and round otherwise: results would depend, in their last bits, on what has
+    been compiled or loaded before.
+    """
+    optimise = library._optimize_final_module
+    if optimise.__name__ == "alone":
+        return
+
+    def alone():
+        for function in library._final_module.functions:
+            if not function.is_declaration and function.linkage == Linkage.linkonce_odr:
+                function.linkage = Linkage.internal
+        optimise()
+
+    library._optimize_final_module = alone
 
 
 @intrinsic
@@ -36,10 +96,11 @@ def in_parallel(typing_context, kernel, count, arguments):
     def generate(context, builder, _, values):
         compiled = kernel.dispatcher.overloads[signature.args]
         context.add_linking_libs([compiled.library])
-        _launch_threads()
+        launch_threads()
         # also before the compiled kernel is loaded from the cache; not earlier, since a process
         # with threads cannot be forked
-        context.active_code_library._reload_init.add(_launch_threads)
+        context.active_code_library._reload_init.add(launch_threads)
+        _keep_to_itself(context.active_code_library)
         byte, size = cgutils.voidptr_t, context.get_value_type(types.intp)
         zero, one = size(0), size(1)
         _, rows, given = values

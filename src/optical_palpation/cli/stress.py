@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -160,6 +161,7 @@ def stress(
 
     from optical_palpation import present, thickness
     from optical_palpation.material import make_law
+    from optical_palpation.present.output import write_each
 
     thickness_is_map = not _is_number(initial_thickness)
     inputs = [map, Path(initial_thickness)] if thickness_is_map else [map]
@@ -242,10 +244,10 @@ def stress(
         "profiles": present.write_profiles,
         "deck": lambda solved, path: present.write_deck(solved.problem, path),
     }
-    for kind, path in wanted.items():
-        writers[kind](result, path)
     if not quiet:
         print(present.summarise(result))
+    write_each({path: partial(writers[kind], result) for kind, path in wanted.items()})
+    if not quiet:
         for kind, path in wanted.items():
             print(f"{kind}: {path}")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from math import ceil, floor, log10
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from optical_palpation.errors import InsufficientMemoryError
 from optical_palpation.mechanics.krylov import KEPT, LONGEST
 from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.mechanics.stencil import padded
+from optical_palpation.runtime.environment import address_space_limit
 
 #: Bytes per node at the peak of a run by multigrid: stencils, vectors of the Krylov method, states;
 #: and per node of a face.
@@ -18,6 +20,8 @@ _FIXED = 4e6
 #: Bytes per node of the sparse matrix on its way to the direct solver, and per node and node of
 #: the depth of its factors, which grow with the logarithm of the lateral size besides.
 _MATRIX, _FACTORS = 20000.0, 400.0
+#: Address space that linear algebra libraries take for each thread once they are used.
+_WORK = 6.4e7
 #: Share of the available memory that a run may be predicted to take.
 _USABLE = 0.95
 
@@ -48,7 +52,7 @@ def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> 
 
 
 def available_memory() -> float:
-    """Bytes that this process can still take: of the machine, and of its control groups."""
+    """Bytes that this process can still take: of the machine, its control groups and limits."""
     import psutil
 
     available = float(psutil.virtual_memory().available)
@@ -66,6 +70,10 @@ def available_memory() -> float:
         except (OSError, ValueError):  # no such group, or "max": no limit
             continue
         available = min(available, float(max(left, 0)))
+    space = address_space_limit()
+    if space is not None:
+        work = _WORK * (os.cpu_count() or 1)
+        available = min(available, max(space - psutil.Process().memory_info().vms - work, 0.0))
     return available
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from optical_palpation.errors import InputError
+from optical_palpation.files import readable_name
 from optical_palpation.thickness.formats import Variable, read_variables
 from optical_palpation.thickness.frames import layer_extent_of
 
@@ -66,7 +67,7 @@ def read_sample_motion(path: str | os.PathLike[str]) -> xr.Dataset:
     return xr.Dataset(
         {name: (("y", "x"), arrays[name], {"units": "mm"}) for name in MOTION},
         {"y": ("y", y, {"units": "mm"}), "x": ("x", x, {"units": "mm"})},
-        {"source": path.name, "source_sha256": digest},
+        {"source": readable_name(path), "source_sha256": digest},
     )
 
 

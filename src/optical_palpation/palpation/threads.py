@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import ceil
@@ -11,10 +12,18 @@ import numba as nb
 from threadpoolctl import threadpool_limits
 
 from optical_palpation.palpation.memory import control_groups
+from optical_palpation.parallel import is_fork, launch_threads
+
+_ALONE = threading.RLock()
 
 
 def available_threads() -> int:
-    """Cores that this process may use, by its affinity and the quota of its control groups."""
+    """Cores that this process may use, by its affinity and the quota of its control groups.
+
+    One in a process that was forked from one with threads: these do not come along.
+    """
+    if is_fork():
+        return 1
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     launched = nb.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
     return max(1, ceil(min(count or 1, launched, _quota())))
@@ -24,19 +33,24 @@ def available_threads() -> int:
 def limited_threads(threads: int | None = None) -> Iterator[int]:
     """Hold the kernels and the linear algebra libraries to ``threads``, at most all there are.
 
+    One computation runs at a time, since the libraries know only one number of threads for the
+    whole process; another thread of Python waits for it.
+
     Yields
     ------
     int
         The number of threads.
     """
-    number = min(threads or available_threads(), available_threads())
-    before = nb.get_num_threads()
-    nb.set_num_threads(number)
-    try:
-        with threadpool_limits(number, user_api="blas"):
-            yield number
-    finally:
-        nb.set_num_threads(before)
+    launch_threads()
+    with _ALONE:
+        number = min(threads or available_threads(), available_threads())
+        before = nb.get_num_threads()
+        nb.set_num_threads(number)
+        try:
+            with threadpool_limits(number, user_api="blas"):
+                yield number
+        finally:
+            nb.set_num_threads(before)
 
 
 def _quota() -> float:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from optical_palpation.errors import OutputError
+from optical_palpation.errors import IncompleteOutputError, OutputError
 from optical_palpation.files import check_target, replacing
+from optical_palpation.runtime import software_version
 
 SUFFIXES = {
     "result": (".nc", ".nc4", ".h5"),
@@ -73,6 +73,36 @@ def check_outputs(outputs: Mapping[str, Path], inputs: Sequence[Path] = ()) -> N
         taken.add(path.resolve())
 
 
+def write_each(writers: Mapping[Path, Callable[[Path], object]]) -> None:
+    """Write several files; one that cannot be written keeps none of the others back.
+
+    Parameters
+    ----------
+    writers
+        What writes a file, by its path.
+
+    Raises
+    ------
+    IncompleteOutputError
+        With what was written and what was not.
+    OutputError
+        If nothing was written.
+    """
+    written, failures = [], []
+    for path, write in writers.items():
+        try:
+            write(path)
+            written.append(str(path))
+        except OutputError as error:
+            failures.append(error)
+    if failures and not written:
+        raise failures[0]
+    if failures:
+        raise IncompleteOutputError(
+            f"{'; '.join(map(str, failures))}. Written: {', '.join(written)}"
+        )
+
+
 @contextmanager
 def atomic(path: str | Path, kind: str) -> Iterator[Path]:
     """Give a temporary path beside the target, which replaces the target if all goes well.
@@ -96,7 +126,7 @@ def provenance(maps: xr.Dataset) -> dict[str, Any]:
     x, y = maps["x"].values, maps["y"].values
     attributes: dict[str, Any] = {
         "software": "optical-palpation",
-        "software_version": version("optical-palpation"),
+        "software_version": software_version(),
         "axis_order": "maps (y, x), volumes (z, y, x); z = 0 at the window, towards the sample",
         "stress_sign": "Cauchy stress, tension positive; contact_pressure compression positive",
         "origin_x_mm": float(x[0]),

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
+from optical_palpation.files import readable_name
+
 from ..errors import InputError
 from .arrays import MAX_BSCAN_BYTES, MAX_LOADED_BYTES, Array, LazyArray, check_array, nbytes
 from .metadata import Access, Stated, VolumeMetadata, settle
@@ -139,7 +141,7 @@ class Volume:
             "long_name": "OCT signal",
             "units": "dB" if m.scale == "dB" else "1",
             "scale": m.scale,
-            "source": m.path.name,
+            "source": readable_name(m.path),
             "source_format": m.format,
             "source_axes": m.axes,
         }
