@@ -1,13 +1,15 @@
-"""Fuzz the readers of OCT volumes and of thickness maps with damaged files.
+"""Fuzz the readers with damaged files.
 
     python benchmarks/fuzz_readers.py --seconds 600 --seed 1
+    python benchmarks/fuzz_readers.py --seconds 1800 --families map-nc4 volume-netcdf --untrusted
 
-Small valid files of every format (those of the tests; the names of maps begin with ``map-``) are
-damaged at random: bits, bytes, integers, truncation, splicing; and with knowledge of the format:
-numbers in XML, JSON, TOML and ``.npy`` headers, members within zip archives that are packed again,
-the content of gzip and MATLAB zlib streams. Each is opened and every B-scan read, in a process of
-its own so that a crash is seen too. Anything but success or an InputError is a finding, and so is a
-case above the limits of time and memory. Findings are kept in ``--keep``.
+Small valid files of every format (those of the tests) are damaged at random: bits, bytes, integers,
+truncation, splicing; and with knowledge of the format: numbers in XML, JSON, TOML and ``.npy``
+headers, members within zip archives that are packed again, the content of gzip and MATLAB zlib
+streams. Each is opened and read whole, in a process of its own so that a crash is seen too. Anything
+but success or an InputError is a finding, and so is a case above the limits of time and memory.
+Findings are kept in ``--keep``. HDF5 files are opened directly, as by default, or with
+``--untrusted`` tried out first in yet another process.
 """
 
 from __future__ import annotations
@@ -26,13 +28,13 @@ import time
 import warnings
 import zipfile
 import zlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-import numpy as np
-
-import test_thickness_maps
+import map_files
 import volume_samples
 from volume_sandbox import Sandbox
 
@@ -176,15 +178,101 @@ def _damage_once(data: bytes, others: list[bytes], rng: random.Random) -> bytes:
     return bytes(buffer)
 
 
+class Sample(NamedTuple):
+    """A valid file: its family, what reads it, the path and the options."""
+
+    family: str
+    what: str
+    path: Path
+    facts: dict[str, Any]
+
+
+#: By family: what writes a file into a folder and returns what reads it, its path and options.
+Write = Callable[[Path], tuple[str, Path, dict[str, Any]]]
+
+
+def families() -> dict[str, list[Write]]:
+    """Writers of all valid files, by family: ``map-`` or ``volume-`` and a format, or a name."""
+
+    def of_volume(writer: Any) -> Write:
+        return lambda folder: ("volume", *writer(folder, volume_samples.volume()))
+
+    def of_map(case: map_files.Case) -> Write:
+        return lambda folder: ("map", case.write(folder), case.options)
+
+    found: dict[str, list[Write]] = {
+        f"volume-{name}": [of_volume(writer)] for name, writer in volume_samples.WRITERS.items()
+    }
+    for name, case in map_files.CASES.items():
+        if isinstance(case.answer, map_files.Read):
+            found.setdefault(f"map-{name.split()[0]}", []).append(of_map(case))
+    return found | {
+        "motion": [_motion],
+        "relief": [_relief],
+        "stiffness": [_stiffness],
+        "scene": [_scene],
+        "uniaxial": [_uniaxial],
+        "profile": [_profile],
+        "corrections": [_corrections],
+    }
+
+
+def _fields(folder: Path, what: str, names: tuple[str, ...]) -> tuple[str, Path, dict[str, Any]]:
+    parts: map_files.Parts = {name: (("y", "x"), 0.01 * map_files.MAP, {}) for name in names}
+    map_files.netcdf4(folder / "fields.nc", parts | map_files.COORDINATES)
+    return what, folder / "fields.nc", {}
+
+
+def _motion(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    return _fields(folder, "motion", ("sample_displacement_x", "sample_displacement_y"))
+
+
+def _relief(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    return _fields(folder, "relief", ("height",))
+
+
+def _stiffness(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    return _fields(folder, "stiffness", ("stiffness",))
+
+
+def _scene(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    text = "compression = 0.1\n[layer]\nsize = [1, 1]\n[sample]\nsize = [1, 1]\nthickness = 1\n"
+    text += "[[sample.relief]]\nkind = 'sinusoid'\namplitude = 0.1\nwavelength = 1.0\n"
+    (folder / "scene.toml").write_text(text + "[mesh]\nelement_size = 0.1\n")
+    return "scene", folder / "scene.toml", {}
+
+
+def _table(folder: Path, header: str) -> Path:
+    lines = [header, *(f"{-0.02 * n:g},{-0.5 * n:g}" for n in range(12))]
+    (folder / "table.csv").write_text("\n".join(lines) + "\n")
+    return folder / "table.csv"
+
+
+def _uniaxial(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    return "uniaxial", _table(folder, "# test 1\nstrain (%),stress (kPa)"), {}
+
+
+def _profile(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    path = _table(folder, "depth_mm,displacement_nm")
+    path.write_text(path.read_text().replace("-", ""))
+    return "profile", path, {"thickness": 0.4}
+
+
+def _corrections(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    text = "anchor sample 1.20 3.40 0.512  # x y z\nexclude window 0.0 0.5 2.0 2.5\n"
+    (folder / "corrections.txt").write_text(text)
+    return "corrections", folder / "corrections.txt", {}
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--seed", type=int, default=0)
-    maps = {f"map-{name}": write for name, write in test_thickness_maps.WRITERS.items()}
-    everything = [*volume_samples.WRITERS, *maps]
-    parser.add_argument("--formats", nargs="*", default=everything, choices=everything)
+    everything = families()
+    parser.add_argument("--families", nargs="*", default=[*everything], choices=[*everything])
+    parser.add_argument("--untrusted", action="store_true", help="try HDF5 files out first")
     parser.add_argument("--keep", type=Path, default=None, help="folder for the files that failed")
     options = parser.parse_args()
     rng = random.Random(options.seed)
@@ -193,30 +281,27 @@ def main() -> int:
     seen: collections.Counter[str] = collections.Counter()
     with tempfile.TemporaryDirectory() as name:
         root = Path(name)
-        corpus = []
-        for kind in options.formats:
-            (root / kind).mkdir()
-            if kind in maps:
-                path, facts = root / kind / "map", {"field_of_view": (2, 1)}
-                maps[kind](path, 0.4 + 0.1 * np.random.default_rng(0).random((20, 30)))
-                path = next((root / kind).iterdir())  # NumPy appends its suffix
-            else:
-                path, facts = volume_samples.WRITERS[kind](root / kind, volume_samples.volume())
-            corpus.append((kind, path, facts))
+        corpus: dict[str, list[Sample]] = {}
+        for family in options.families:
+            for number, write in enumerate(everything[family]):
+                folder = root / f"{family}-{number}"
+                folder.mkdir()
+                what, path, facts = write(folder)
+                if options.untrusted and what in ("volume", "map", "motion", "relief"):
+                    facts = facts | {"untrusted": True}
+                corpus.setdefault(family, []).append(Sample(family, what, path, facts))
         files = [p for p in root.rglob("*") if p.is_file()]
         others = [p.read_bytes() for p in files]
         sandbox = Sandbox()
         end = time.monotonic() + options.seconds
         cases = 0
         while time.monotonic() < end:
-            kind, path, facts = rng.choice(corpus)
-            folder = root / kind
+            kind, what, path, facts = rng.choice(corpus[rng.choice(options.families)])
+            folder = root / path.relative_to(root).parts[0]
             target = rng.choice(sorted(p for p in folder.rglob("*") if p.is_file()))
             original = target.read_bytes()
             target.write_bytes(damaged(original, others, rng))
-            outcome, seconds, memory = sandbox.open(
-                path, facts, "map" if kind in maps else "volume"
-            )
+            outcome, seconds, memory = sandbox.open(path, facts, what)
             outcome = "InputError" if outcome.startswith("InputError: ") else outcome
             cases += 1
             if outcome in ("read", "InputError"):
@@ -230,7 +315,7 @@ def main() -> int:
                 outcome if len(outcome) < 12 else "finding"
             ] += 1
             if outcome not in ("read", "InputError"):
-                key = kind.split("_")[0] + " " + outcome.strip().splitlines()[-1]
+                key = kind + " " + outcome.strip().splitlines()[-1]
                 seen[key] += 1
                 if seen[key] == 1:
                     print(
@@ -244,6 +329,7 @@ def main() -> int:
                         json.dumps(
                             {
                                 "target": str(path.relative_to(folder)),
+                                "what": what,
                                 "facts": facts,
                                 "outcome": outcome,
                             }

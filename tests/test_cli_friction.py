@@ -140,7 +140,7 @@ CURVES = ["--calibration", "CURVES"]
         (["before.npy", "after.npy", *CURVES], "--window-depth"),
         (["profile.csv", *CURVES, "--c10", 2], "--calibration already tells --c10"),
         (["absent.csv", *CURVES], "absent.csv"),
-        (["profile.csv", "--calibration", "absent.nc"], "absent.nc"),
+        (["profile.csv", "--depth-in-mm", *PRELOAD, "--calibration", "absent.nc"], "absent.nc"),
         (["profile.csv", "--calibration", "profile.csv"], "profile.csv"),
         (["profile.csv", *CURVES, "--depth-in-mm", "--loaded-thickness", 0.3], "depth runs"),
         (["profile.csv", *CURVES, "--depth-in-mm", *PRELOAD[:3], 0.8], "region of 1.6"),

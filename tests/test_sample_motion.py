@@ -314,8 +314,8 @@ def test_files_of_motion(tmp_path):
     ("content", "message"),
     [
         ({"y": np.arange(3.0)}, "no variable 'sample_displacement_x'"),
-        ({"x": np.arange(4.0)}, "does not fit to 3 positions y and 4 positions x"),
-        ({"x": np.array(["a", "b", "c"])}, "no lengths"),
+        ({"x": np.arange(4.0)}, "3 rows along y and 3 columns along x"),
+        ({"x": np.array(["a", "b", "c"])}, "its type <U1"),
     ],
 )
 def test_files_without_a_motion_are_named(tmp_path, content, message):

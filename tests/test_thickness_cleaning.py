@@ -11,6 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from optical_palpation.errors import InputError
 from optical_palpation.thickness import clean_thickness, read_thickness_map, thickness_map
+from optical_palpation.thickness.frames import map_on_grid
 
 MAPS = hnp.arrays(
     float,
@@ -28,7 +29,7 @@ def wavy(shape=(60, 80), seed=None):
 
 
 def clean(values, **frame):
-    return clean_thickness(thickness_map(values, **(frame or {"pixel_spacing": (0.01, 0.01)})))
+    return clean_thickness(map_on_grid(values, **(frame or {"pixel_spacing": (0.01, 0.01)})))
 
 
 @given(values=MAPS)

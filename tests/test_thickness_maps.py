@@ -20,7 +20,6 @@ from optical_palpation.thickness import (
     thickness_map,
     write_thickness_map,
 )
-from optical_palpation.volume import hdf5
 
 
 def write_matlab_73(path, **variables):
@@ -74,16 +73,9 @@ MAPS = hnp.arrays(
         st.floats(2.0**-10, 2.0**10, width=32),
         st.just(float("nan")),
     ),
-).filter(lambda map_: np.isfinite(map_).any())
+).filter(lambda map_: np.isfinite(map_).mean() >= 0.5)
 
 
-@pytest.fixture
-def untried(monkeypatch):
-    """HDF5 files are not tried out in a process of their own, which takes its time to start."""
-    monkeypatch.setattr(hdf5, "open_file", lambda path: h5py.File(path, "r"))
-
-
-@pytest.mark.usefixtures("untried")
 @pytest.mark.parametrize("name", WRITERS)
 @given(values=MAPS)
 def test_values_and_orientation_survive_every_format(tmp_path, name, values):
@@ -98,7 +90,6 @@ def test_values_and_orientation_survive_every_format(tmp_path, name, values):
     assert result.attrs["missing_share"] == pytest.approx(np.isnan(values).mean())
 
 
-@pytest.mark.usefixtures("untried")
 @given(values=MAPS, data=st.data())
 def test_written_map_is_read_back_whole(tmp_path, values, data):
     steps = st.floats(1e-3, 1.0)

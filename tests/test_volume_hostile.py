@@ -505,7 +505,7 @@ def netcdf_damaged_heap(folder: Path) -> tuple[Path, dict[str, Any], str]:
     content = bytearray(path.read_bytes())
     content[content.index(b"GCOL") + 48] = 0xFF
     path.write_bytes(content)
-    return path, facts, "did not get through it"
+    return path, facts | {"untrusted": True}, "did not get through it"
 
 
 def zarr_chunks_of_nothing(folder: Path) -> tuple[Path, dict[str, Any], str]:

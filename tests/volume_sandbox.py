@@ -38,7 +38,7 @@ class Sandbox:
         self._pipe.recv()  # ready: imports on a busy machine do not count
 
     def open(self, path: Path, facts: dict[str, Any], what: str = "volume") -> Outcome:
-        """Read a ``volume`` (at most 20 of its B-scans) or a thickness ``map``."""
+        """Read a ``volume`` (at most 20 of its B-scans), a ``map``, or what else ``READ`` names."""
         try:
             self._pipe.send((what, str(path), facts))
             if self._pipe.poll(HANG):
@@ -58,6 +58,10 @@ class Sandbox:
 
 def worker(pipe: Connection) -> None:
     """Open the files whose paths come through the pipe; reply with the outcome."""
+    import optical_palpation.experiment
+    import optical_palpation.friction
+    import optical_palpation.material
+    import optical_palpation.palpation
     import optical_palpation.thickness
     import optical_palpation.volume  # noqa: F401
     from optical_palpation.errors import InputError
@@ -75,7 +79,9 @@ def worker(pipe: Connection) -> None:
             text = "read"
         except InputError as error:
             text = f"InputError: {error}"
-            caught_at_last = error.__cause__ if "damaged or unsupported (" in text else None
+            caught_at_last = (
+                error.__cause__ if "damaged, truncated or unsupported (" in text else None
+            )
             if caught_at_last is not None and (place := _own_place(caught_at_last)):
                 text = f"unforeseen: {place}"
         except BaseException as error:
@@ -99,7 +105,62 @@ def _read_map(path: str, facts: dict[str, Any]) -> None:
     assert not (values.values <= 0).any()
 
 
-READ = {"volume": _read_volume, "map": _read_map}
+def _read_motion(path: str, facts: dict[str, Any]) -> None:
+    from optical_palpation.palpation import read_sample_motion
+
+    read_sample_motion(path, **facts)
+
+
+def _read_relief(path: str, facts: dict[str, Any]) -> None:
+    from optical_palpation.thickness import read_height_map
+
+    read_height_map(path, **facts)
+
+
+def _read_stiffness(path: str, facts: dict[str, Any]) -> None:
+    import numpy as np
+
+    from optical_palpation.experiment.scene import StiffnessFile
+
+    point = np.zeros(1)
+    StiffnessFile(kind="file", path=Path(path)).apply(point + 1.0, point, point, point)
+
+
+def _read_scene(path: str, facts: dict[str, Any]) -> None:
+    from optical_palpation.experiment import read_scene
+
+    read_scene(path)
+
+
+def _read_uniaxial(path: str, facts: dict[str, Any]) -> None:
+    from optical_palpation.material import read_uniaxial_test
+
+    read_uniaxial_test(path, **facts)
+
+
+def _read_profile(path: str, facts: dict[str, Any]) -> None:
+    from optical_palpation.friction import read_profile
+
+    read_profile(path, **facts)
+
+
+def _read_corrections(path: str, facts: dict[str, Any]) -> None:
+    from optical_palpation.thickness import read_corrections
+
+    read_corrections(path)
+
+
+READ = {
+    "volume": _read_volume,
+    "map": _read_map,
+    "motion": _read_motion,
+    "relief": _read_relief,
+    "stiffness": _read_stiffness,
+    "scene": _read_scene,
+    "uniaxial": _read_uniaxial,
+    "profile": _read_profile,
+    "corrections": _read_corrections,
+}
 
 
 def _own_place(error: BaseException) -> str | None:

@@ -126,6 +126,10 @@ def stress(
             help="Part of the map's own coordinates that the layer covers, mm.",
         ),
     ] = None,
+    untrusted: Annotated[
+        bool,
+        typer.Option("--untrusted", help="Try HDF5 files out in a process of its own first."),
+    ] = False,
     plot: Annotated[Path | None, typer.Option(help="Also draw a picture (.png, .pdf).")] = None,
     vtk: Annotated[
         Path | None, typer.Option(help="Also write the layer for ParaView (.vts).")
@@ -181,6 +185,7 @@ def stress(
                 length_unit=length_unit,
                 field_of_view=field_of_view,
                 pixel_spacing=pixel_spacing,
+                untrusted=untrusted,
                 **layer,
             )
         )
@@ -211,7 +216,7 @@ def stress(
         motion = None
         if sample_motion is not None:
             motion = (
-                read_sample_motion(sample_motion)
+                read_sample_motion(sample_motion, untrusted=untrusted)
                 if motion_is_file
                 else uniform_motion(loaded, float(sample_motion))
             )

@@ -77,6 +77,10 @@ def thickness(
         Path | None, typer.Option(help="Text file of anchor points and excluded regions.")
     ] = None,
     method: Annotated[Method, typer.Option(help="How boundaries are found.")] = Method.SURFACE,
+    untrusted: Annotated[
+        bool,
+        typer.Option("--untrusted", help="Try HDF5 files out in a process of its own first."),
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
     """Find the layer in an OCT volume and write its thickness, quality and boundaries."""
@@ -98,6 +102,7 @@ def thickness(
             spacing=None if spacing is None else dict(zip("zyx", spacing, strict=True)),
             scale=scale,
             refractive_index=refractive_index,
+            untrusted=untrusted,
         ) as opened,
         ProgressDisplay(quiet) as progress,
     ):

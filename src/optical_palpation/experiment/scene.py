@@ -20,6 +20,10 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from optical_palpation import material
 from optical_palpation.errors import InputError
+from optical_palpation.volume.contents import translated_errors
+from optical_palpation.volume.labels import labelled
+from optical_palpation.volume.opening import MAP_READERS, open_contents
+from optical_palpation.volume.units import stated_unit
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -94,16 +98,22 @@ class RandomRelief(_Part):
 
 
 class ReliefFile(_Part):
-    """Height in mm from a map file (formats of ``read_thickness_map``), on the layer's x and y."""
+    """Height from a map file (formats of ``read_height_map``), on the layer's x and y.
+
+    Heights and coordinates are mm unless the file says another unit; they may be negative.
+    """
 
     kind: Literal["file"]
     path: Path
 
     def height(self, x: Array, y: Array) -> Array:
         """Height at points, mm."""
-        from optical_palpation.thickness import read_thickness_map
+        from optical_palpation.thickness import read_height_map
 
-        return map_height(read_thickness_map(self.path), x, y)
+        try:
+            return map_height(read_height_map(self.path), x, y)
+        except InputError as error:
+            raise _named(self.path, error) from None
 
 
 class Box(_Part):
@@ -155,9 +165,10 @@ class RandomStiffness(_Part):
 
 
 class StiffnessFile(_Part):
-    """Factor from a NetCDF variable ``stiffness`` on (y, x) or (z, y, x).
+    """Factor from a variable ``stiffness`` on (y, x) or (z, y, x) of a file with coordinates.
 
-    Coordinates in mm; z is the depth. Beyond its ends the nearest value holds.
+    NetCDF, HDF5, MATLAB or .npz. Coordinates are mm unless the file says another unit; z is the
+    depth. Beyond its ends the nearest value holds.
     """
 
     kind: Literal["file"]
@@ -166,12 +177,9 @@ class StiffnessFile(_Part):
     def apply(self, stiffness: Array, x: Array, y: Array, depth: Array) -> Array:
         """Stiffness with this feature at points."""
         try:
-            volume = xr.load_dataset(self.path)["stiffness"]
-        except (OSError, ValueError, KeyError) as error:
-            raise InputError(
-                f"{self.path}: no NetCDF file with a variable named stiffness ({error})"
-            ) from None
-        return stiffness * volume_factor(volume, x, y, depth)
+            return stiffness * volume_factor(_read_factor(self.path), x, y, depth)
+        except InputError as error:
+            raise _named(self.path, error) from None
 
 
 Relief = Annotated[Sinusoid | RandomRelief | ReliefFile, Field(discriminator="kind")]
@@ -309,8 +317,38 @@ def _located(scene: Scene, folder: Path) -> Scene:
     return scene.model_copy(update={"sample": sample.model_copy(update=update)})
 
 
+def _read_factor(path: Path) -> xr.DataArray:
+    """Read ``stiffness`` with its coordinates in mm."""
+    reader, contents = open_contents(path, readers=MAP_READERS)
+    with contents, translated_errors(path, reader.FORMAT):
+        if "stiffness" not in contents.variables:
+            held = ", ".join(contents.variables) or "none"
+            raise InputError(f"{path}: has no variable named stiffness; it holds {held}")
+        variable = contents.variables["stiffness"]
+        axes = "zyx"[-len(variable.shape) :]
+        if variable.dtype.kind not in "iuf" or len(axes) != len(variable.shape) or len(axes) < 2:
+            raise InputError(
+                f"{path}: stiffness is {variable.dtype} of shape {variable.shape}; real numbers on "
+                "(y, x) or (z, y, x) are needed"
+            )
+        found = labelled(path, contents, "stiffness", axes)
+    absent = [axis for axis, at in found.positions.items() if at is None]
+    if absent:
+        raise InputError(f"{path}: has no coordinates {', '.join(absent)} of stiffness, in mm")
+    positions = {axis: (axis, at) for axis, at in found.positions.items()}
+    return xr.DataArray(found.values, positions, tuple(axes)).sortby(list(axes))
+
+
+def _named(path: Path, error: InputError) -> InputError:
+    """The error with the file in it."""
+    return error if str(path) in str(error) else InputError(f"{path}: {error}")
+
+
 def map_height(height: xr.DataArray, x: Array, y: Array) -> Array:
     """Cubic interpolation of a map on (y, x), mm, at points; level beyond its ends."""
+    unit = stated_unit("", height.attrs, "the relief")
+    if unit not in (None, "mm"):
+        raise InputError(f"the relief is in {unit}; give it in mm")
     return _interpolated(height, ("y", "x"), (y, x), order=3)
 
 
@@ -330,6 +368,11 @@ def _interpolated(
         raise InputError(f"a field on ({', '.join(dims)}) is needed, not on {field.dims}")
     positions = []
     for dim, values in zip(dims, points, strict=True):
+        if dim not in field.coords:
+            raise InputError(f"the field has no coordinates along {dim}, in mm")
+        unit = stated_unit(dim, field[dim].attrs, f"the field, coordinate {dim}")
+        if unit not in (None, "mm"):
+            raise InputError(f"the {dim} coordinates of the field are in {unit}; give them in mm")
         axis = field[dim].values.astype(float)
         if axis.size < 2 or not (np.diff(axis) > 0).all():
             raise InputError(f"the {dim} coordinates must ascend and be two at least")

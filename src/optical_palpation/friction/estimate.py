@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
@@ -15,6 +14,8 @@ from scipy.stats import t as student_t
 
 from optical_palpation.errors import InputError
 from optical_palpation.regression import independent_points
+from optical_palpation.volume.text import read_columns
+from optical_palpation.volume.units import MM, split_unit
 
 Array = NDArray[np.float64]
 
@@ -143,8 +144,9 @@ def read_profile(path: str | Path, thickness: float | None = None) -> xr.Dataset
     """Read a displacement profile from a CSV of depth, displacement and, if known, its error.
 
     Columns are found by name: *depth*, *displacement*, *error* (or *std*, *sd*). Depth is a
-    fraction of the loaded layer from the window, or mm if `thickness` is given. Displacements may
-    have any unit; errors must have the same.
+    fraction of the loaded layer from the window, or a length if `thickness` is given: mm, unless
+    the name says another unit (*depth_um*). Displacements may have any unit; errors must have the
+    same.
 
     Parameters
     ----------
@@ -156,37 +158,42 @@ def read_profile(path: str | Path, thickness: float | None = None) -> xr.Dataset
     Raises
     ------
     InputError
-        If the file cannot be read, columns are missing, or values are no numbers.
+        If the file cannot be read, columns are missing or ambiguous, or values are no numbers.
     """
     path = Path(path)
-    try:
-        table = pd.read_csv(path, comment="#", encoding="utf-8-sig")
-    except (
-        OSError,
-        UnicodeDecodeError,
-        pd.errors.ParserError,
-        pd.errors.EmptyDataError,
-    ) as problem:
-        raise InputError(f"{path}: cannot be read as a table ({problem})") from None
-    names = {str(name).lower(): name for name in table.columns}
+    table = read_columns(path)
+    free = list(table.names)
     columns: dict[str, Array] = {}
+    units: dict[str, str | None] = {}
     for key, hints in (
         ("depth", ("depth",)),
         ("standard_error", ("error", "std", "sd")),
         ("displacement", ("displacement",)),
     ):
-        found = next((n for n in names if any(h in n for h in hints)), None)
-        if found is None:
+        found = [name for name in free if any(hint in name.lower() for hint in hints)]
+        if len(found) > 1:
+            raise InputError(
+                f"{path}: several columns could be the {key}: {', '.join(found)}; leave one"
+            )
+        if not found:
             if key == "standard_error":
                 continue
+            raise InputError(f"{path}: no column for the {key}; the table has: {', '.join(free)}")
+        free.remove(found[0])
+        columns[key] = table.numbers(found[0])
+        units[key] = split_unit(found[0])[1]
+    if units.get("standard_error", units["displacement"]) != units["displacement"]:
+        raise InputError(
+            f"{path}: the displacement is in {units['displacement']}, its error in "
+            f"{units['standard_error']}; give both in one unit"
+        )
+    if units["depth"] is not None:
+        if thickness is None:
             raise InputError(
-                f"{path}: no column for the {key}; the table has: {', '.join(map(str, names))}"
+                f"{path}: the depth is in {units['depth']}; give the loaded thickness, or the "
+                "depth as a fraction of it"
             )
-        values = pd.to_numeric(table[names.pop(found)], errors="coerce").to_numpy(np.float64)
-        if not np.isfinite(values).all():
-            row = int(np.argmin(np.isfinite(values)))
-            raise InputError(f"{path}: column {found!r}, data row {row + 1} is not a number")
-        columns[key] = values
+        columns["depth"] = columns["depth"] * MM[units["depth"]]
     if thickness is not None:
         if not thickness > 0.0:
             raise InputError(f"thickness = {thickness}: must be positive, in mm")

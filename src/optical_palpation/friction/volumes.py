@@ -43,10 +43,21 @@ def read_pair(
     facts["scale"] = "linear"  # as complex samples are; real ones are refused for being real
     with open_volume(before, **facts) as first, open_volume(after, **facts) as second:
         a, b = first.metadata, second.metadata
+        for metadata in (a, b):
+            if not metadata.is_complex:
+                raise InputError(
+                    f"{metadata.path}: holds real samples ({metadata.dtype}); friction needs "
+                    "complex ones, with the phase"
+                )
         if a.shape != b.shape or not np.allclose(a.spacing, b.spacing, rtol=1e-6, equal_nan=True):
             raise InputError(
                 f"{before} has {a.shape} samples of {tuple(a.spacing)} mm, {after} {b.shape} of "
                 f"{tuple(b.spacing)} mm (z, y, x); they must be alike"
+            )
+        if not np.allclose(a.origin, b.origin, atol=1e-3 * min(a.spacing.z, a.spacing.x)):
+            raise InputError(
+                f"{before} begins at {tuple(a.origin)} mm, {after} at {tuple(b.origin)} mm (z, y, "
+                "x); they must show the same place"
             )
         if a.shape[1] < 2:
             raise InputError(
@@ -61,6 +72,12 @@ def read_pair(
                 f"{before}, {field[1]:g} x {field[0]:g} mm (x, y)"
             )
         pair = [_middle(volume, width) for volume in (first, second)]
+    for name, samples in zip((before, after), pair, strict=True):
+        if not np.isfinite(samples).all():
+            raise InputError(
+                f"{name}: {int((~np.isfinite(samples)).sum())} samples of the square are missing "
+                "or infinite; choose a region without them"
+            )
     return pair[0], pair[1], a.spacing.z, width
 
 

@@ -8,18 +8,41 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from optical_palpation.errors import InputError
+from optical_palpation.volume.text import Columns, read_columns
 
 Measure = Literal["engineering", "true"]
 Loading = Literal["compression", "tension"]
 
 _STRAIN_UNITS = {"fraction": 1.0, "percent": 0.01, "pct": 0.01, "%": 0.01}
-_STRESS_UNITS = {"pa": 1e-3, "kpa": 1.0, "mpa": 1e3}
-_LENGTH_UNITS = {"um": 1e-3, "µm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3}
-_FORCE_UNITS = {"mn": 1.0, "n": 1e3, "kn": 1e6}
+_STRAIN_UNITS |= dict.fromkeys(("-", "1", "mm/mm", "m/m", "in/in"), 1.0)
+_STRESS_UNITS = {"pa": 1e-3, "kpa": 1.0, "mpa": 1e3, "gpa": 1e6, "n/m2": 1e-3, "n/mm2": 1e3}
+_LENGTH_UNITS = {"nm": 1e-6, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1e3}
+_FORCE_UNITS = {"un": 1e-3, "µn": 1e-3, "μn": 1e-3, "mn": 1.0, "n": 1e3, "kn": 1e6}
+# Units that would otherwise be overlooked, and two whose case decides about nine powers of ten.
+_OTHER_UNITS = {"psi", "ksi", "bar", "mbar", "torr", "atm", "mmhg", "mm2", "m2", "kgf", "gf", "lbf"}
+_OTHER_UNITS |= {
+    "lb",
+    "lbs",
+    "g",
+    "kg",
+    "inch",
+    "inches",
+    "in",
+    "ft",
+    "mil",
+    "microstrain",
+    "ustrain",
+}
+_OTHER_CASES = {"MN", "mPa"}
+# What else may stand in brackets after a name.
+_REMARKS = {"engineering", "nominal", "true", "cauchy", "logarithmic", "compression", "tension"}
+_REMARKS |= {"compressive", "tensile", "axial", "abs", "mean", "average", "corrected"}
+# Above these a column without a unit is in another one than is assumed.
+_LARGEST_STRAIN = 3.0
+_STIFFEST = 5e3  # kPa, secant modulus: beyond any layer
 
 
 @dataclass(frozen=True)
@@ -138,12 +161,14 @@ def read_uniaxial_test(
     height: float | None = None,
     area: float | None = None,
 ) -> UniaxialTest:
-    """Read a uniaxial test from a table (CSV; comma, semicolon or tab).
+    """Read a uniaxial test from a table with a header (CSV; comma, semicolon, tab or spaces).
 
     Columns are found by name: *strain* and *stress*, or else *displacement* (compression,
     extension) with `height` and *force* (load) with `area`. Names carry measure (*engineering* or
     *nominal*, *true* or *cauchy*; engineering where nothing is said) and unit (percent; Pa, kPa,
-    MPa; um, mm, m; mN, N, kN), which without a unit is the fraction, kPa, mm or N. Either sign
+    MPa, GPa, N/mm2; nm to m; uN to kN) in the header or a second line below it; another unit is
+    refused. Without one they are the fraction, kPa, mm and N, as far as that is plausible. Either
+    sign
     convention is taken: strain and stress of opposite signs mean compression, and so do two
     negative ones; two positive ones are decided by *compression* or *tension* in a name, or by
     `loading`. Rows after the largest strain (unloading) are dropped.
@@ -168,10 +193,12 @@ def read_uniaxial_test(
         The file cannot be read, columns are missing or ambiguous, or numbers are impossible.
     """
     path = Path(path)
-    table = _read_table(path)
+    table = read_columns(path)
     strain_name = strain or _find(table, path, measure, "strain", "displacement compression")
     stress_name = stress or _find(table, path, measure, "stress", "force load")
-    x, y = (_numbers(table, name, path) for name in (strain_name, stress_name))
+    x, y = (table.numbers(name) for name in (strain_name, stress_name))
+    if x.size < 5:
+        raise InputError(f"{path}: {x.size} rows, at least 5 are needed")
 
     strain_measure = _measure_of(strain_name)
     found = measure or _measure_of(stress_name) or strain_measure or "engineering"
@@ -180,26 +207,41 @@ def read_uniaxial_test(
             f"{path}: strain column {strain_name!r} and stress column {stress_name!r} are of "
             "different measures; name two columns of the same one"
         )
+    stress_unit: str | None = ""
     if "strain" in _words(strain_name):
-        x = x * _unit(strain_name, _STRAIN_UNITS, "fraction")
+        strain_unit = _unit(strain_name, _STRAIN_UNITS, path)
+        if strain_unit is None and np.abs(x).max() > _LARGEST_STRAIN:
+            raise InputError(
+                f"{path}: column {strain_name!r} reaches {np.abs(x).max():g} and names no unit; is "
+                "it in percent? Say so in its name"
+            )
+        x = x * _STRAIN_UNITS[strain_unit or "fraction"]
     else:
         if height is None or not height > 0.0:
             raise InputError(
                 f"{path}: column {strain_name!r} is a displacement; give the specimen's unloaded "
                 f"height in mm (height = {height})"
             )
-        x = x * _unit(strain_name, _LENGTH_UNITS, "mm") / height
+        x = x * _LENGTH_UNITS[_unit(strain_name, _LENGTH_UNITS, path) or "mm"] / height
     if "stress" in _words(stress_name):
-        y = y * _unit(stress_name, _STRESS_UNITS, "kpa")
+        stress_unit = _unit(stress_name, _STRESS_UNITS, path)
+        y = y * _STRESS_UNITS[stress_unit or "kpa"]
     else:
         if area is None or not area > 0.0:
             raise InputError(
                 f"{path}: column {stress_name!r} is a force; give the specimen's unloaded area in "
                 f"mm2 (area = {area})"
             )
-        y = y * _unit(stress_name, _FORCE_UNITS, "n") / area
+        stress_unit = _unit(stress_name, _FORCE_UNITS, path)
+        y = y * _FORCE_UNITS[stress_unit or "n"] / area
         found = "engineering"
 
+    if stress_unit is None and np.abs(y).max() > _STIFFEST * np.abs(x).max() > 0.0:
+        raise InputError(
+            f"{path}: column {stress_name!r} names no unit; taken as "
+            f"{'kPa' if 'stress' in _words(stress_name) else 'N'} it gives a modulus of "
+            f"{np.abs(y).max() / np.abs(x).max():.3g} kPa. Say its unit in its name"
+        )
     end = int(np.argmax(np.abs(x)))
     x, y = x[: end + 1], y[: end + 1]
     sign = _direction(x, y, f"{strain_name} {stress_name}", loading, path)
@@ -207,18 +249,6 @@ def read_uniaxial_test(
     y = sign * np.sign(y[-1]) * y
     true_strain = found == "true" and "strain" in _words(strain_name)
     return UniaxialTest(np.exp(x) if true_strain else 1.0 + x, y, found, path.name)
-
-
-def _read_table(path: Path) -> pd.DataFrame:
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            head = file.readline()
-        separator = max(",;\t", key=head.count)
-        table = pd.read_csv(path, sep=separator, comment="#", encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        raise InputError(f"{path}: cannot be read as a table ({error})") from None
-    table.columns = pd.Index([str(name).strip() for name in table.columns])
-    return table
 
 
 def _words(name: str) -> set[str]:
@@ -232,10 +262,8 @@ def _measure_of(name: str) -> Measure | None:
     return "engineering" if words & {"engineering", "nominal"} else None
 
 
-def _find(
-    table: pd.DataFrame, path: Path, measure: Measure | None, first: str, otherwise: str
-) -> str:
-    names = [str(name) for name in table.columns]
+def _find(table: Columns, path: Path, measure: Measure | None, first: str, otherwise: str) -> str:
+    names = table.names
     usable = [name for name in names if not _words(name) & {"sd", "std", "error", "sem"}]
     for wanted in (first, otherwise):
         found = [name for name in usable if _words(name) & set(wanted.split())]
@@ -254,23 +282,34 @@ def _find(
     )
 
 
-def _numbers(table: pd.DataFrame, name: str, path: Path) -> NDArray[np.float64]:
-    if name not in table.columns:
-        raise InputError(f"{path}: no column {name!r}; the table has: {', '.join(table.columns)}")
-    column = pd.to_numeric(table[name], errors="coerce").to_numpy(np.float64)
-    if not np.isfinite(column).all():
-        row = int(np.argmin(np.isfinite(column)))
+def _unit(name: str, units: dict[str, float], path: Path) -> str | None:
+    """Unit that a column's name states, a key of `units`, or None.
+
+    Raises
+    ------
+    InputError
+        For a unit that is not known here, or several.
+    """
+    where = f"{path}: column {name!r}"
+    tidy = name.replace("²", "2").replace("^2", "2")
+    brackets = [text.strip() for text in re.findall(r"[(\[]([^)\]]*)[)\]]", tidy)]
+    words = [word for word in re.split(r"[\s_()\[\],;]+", tidy) if word]
+    words += ["%"] if "%" in tidy else []
+    known = {word.lower() for word in [*brackets, *words] if word.lower() in units}
+    other = [word for word in words if word in _OTHER_CASES or word.lower() in _OTHER_UNITS]
+    other += [
+        text
+        for text in brackets
+        if text and text.lower() not in units and not set(text.lower().split()) <= _REMARKS
+    ]
+    if (other and not known) or set(words) & _OTHER_CASES:
         raise InputError(
-            f"{path}: column {name!r}, data row {row + 1} holds {table[name].iloc[row]!r}, "
-            "not a number"
+            f"{where} is in {other[0]!r}; known units are "
+            f"{', '.join(unit for unit in units if unit.isascii())}. Convert it"
         )
-    if column.size < 5:
-        raise InputError(f"{path}: {column.size} rows, at least 5 are needed")
-    return column
-
-
-def _unit(name: str, units: dict[str, float], default: str) -> float:
-    return next((units[word] for word in units if word in _words(name)), units[default])
+    if len({units[unit] for unit in known}) > 1:
+        raise InputError(f"{where} names several units: {', '.join(sorted(known))}")
+    return next(iter(known), None)
 
 
 def _direction(

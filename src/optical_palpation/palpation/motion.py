@@ -11,17 +11,19 @@ import xarray as xr
 
 from optical_palpation.errors import InputError
 from optical_palpation.files import readable_name
-from optical_palpation.thickness.formats import Variable, read_variables
 from optical_palpation.thickness.frames import layer_extent_of
+from optical_palpation.volume.contents import Contents, translated_errors
+from optical_palpation.volume.labels import labelled
+from optical_palpation.volume.opening import MAP_READERS, open_contents
+from optical_palpation.volume.units import MM, stated_unit
 
 MOTION = ("sample_displacement_x", "sample_displacement_y")
-_UNITS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3}
 _SOURCE = ("source", "source_sha256")
 #: Largest displacement, in widths of the layer; one in um is far beyond.
 _LARGEST = 0.25
 
 
-def read_sample_motion(path: str | os.PathLike[str]) -> xr.Dataset:
+def read_sample_motion(path: str | os.PathLike[str], *, untrusted: bool = False) -> xr.Dataset:
     """Read the lateral displacement of the sample's surface from a file.
 
     Parameters
@@ -29,8 +31,11 @@ def read_sample_motion(path: str | os.PathLike[str]) -> xr.Dataset:
     path
         File of any format of thickness maps that holds several arrays with names (NetCDF, MATLAB,
         .npz): ``sample_displacement_x`` and ``sample_displacement_y`` on (y, x), in mm unless their
-        ``units`` attribute says um, and ``x`` and ``y``, the positions of their pixels in mm. A
-        file of a virtual experiment is one.
+        ``units`` attribute says another unit, and ``x`` and ``y``, the positions of their pixels,
+        likewise. A file of a virtual experiment is one.
+    untrusted
+        Try an HDF5 file out in a process of its own first, as
+        :func:`~optical_palpation.volume.open_volume` does.
 
     Returns
     -------
@@ -44,31 +49,38 @@ def read_sample_motion(path: str | os.PathLike[str]) -> xr.Dataset:
         If the file cannot be read or lacks one of the arrays, or these do not fit together.
     """
     path = Path(path)
-    found = read_variables(path)
-    arrays = {}
-    for name in (*MOTION, "y", "x"):
-        if name not in found:
-            raise InputError(
-                f"{path} has no variable {name!r}; the motion of the sample needs "
-                f"{', '.join(MOTION)}, x and y. It holds {', '.join(map(repr, found)) or 'none'}"
-            )
-        arrays[name] = _in_mm(found[name], f"{path}, variable {name}")
-    y, x = arrays["y"].ravel(), arrays["x"].ravel()
-    for name in MOTION:
-        if found[name].dims == ("x", "y"):
-            arrays[name] = arrays[name].T
-        if arrays[name].shape != (y.size, x.size):
-            raise InputError(
-                f"{path}, variable {name} has the shape {arrays[name].shape} and does not fit to "
-                f"{y.size} positions y and {x.size} positions x"
-            )
+    reader, contents = open_contents(path, readers=MAP_READERS, untrusted=untrusted)
+    with contents, translated_errors(path, reader.FORMAT):
+        for name in MOTION:
+            if name not in contents.variables:
+                held = ", ".join(map(repr, contents.variables)) or "none"
+                raise InputError(
+                    f"{path} has no variable {name!r}; the motion of the sample needs "
+                    f"{', '.join(MOTION)}, x and y. It holds {held}"
+                )
+        fields = {name: _field(path, contents, name) for name in MOTION}
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return xr.Dataset(
-        {name: (("y", "x"), arrays[name], {"units": "mm"}) for name in MOTION},
-        {"y": ("y", y, {"units": "mm"}), "x": ("x", x, {"units": "mm"})},
-        {"source": readable_name(path), "source_sha256": digest},
-    )
+    return xr.Dataset(fields, attrs={"source": readable_name(path), "source_sha256": digest})
+
+
+def _field(path: Path, contents: Contents, name: str) -> xr.DataArray:
+    variable = contents.variables[name]
+    where = f"{path}, variable {name}"
+    if variable.dtype.kind not in "fiu":
+        raise InputError(f"{where} holds values of type {variable.dtype}, no lengths")
+    unit = stated_unit(name, variable.attrs, where) or "mm"
+    found = labelled(path, contents, name)
+    positions = {}
+    for axis, at in found.positions.items():
+        if at is None:
+            raise InputError(
+                f"{path} has no variable {axis!r}; the motion of the sample needs "
+                f"{', '.join(MOTION)}, x and y"
+            )
+        positions[axis] = (axis, at, {"units": "mm"})
+    values = found.values.astype(np.float64) * MM[unit]
+    return xr.DataArray(values, positions, ("y", "x"), attrs={"units": "mm"})
 
 
 def uniform_motion(loaded: xr.DataArray, strain: float) -> xr.Dataset:
@@ -103,15 +115,6 @@ def uniform_motion(loaded: xr.DataArray, strain: float) -> xr.Dataset:
             for name, part in zip(MOTION, parts, strict=True)
         }
     )
-
-
-def _in_mm(variable: Variable, where: str) -> np.ndarray:
-    unit = variable.unit or "mm"
-    if unit not in _UNITS:
-        raise InputError(f"{where}: its units attribute is {unit!r}; known are mm and um")
-    if variable.dtype.kind not in "fiu":
-        raise InputError(f"{where} holds values of type {variable.dtype}, no lengths")
-    return variable.values.astype(np.float64) * _UNITS[unit]
 
 
 def match_sample_motion(motion: xr.Dataset, loaded: xr.DataArray) -> xr.DataArray:
@@ -156,8 +159,10 @@ def match_sample_motion(motion: xr.Dataset, loaded: xr.DataArray) -> xr.DataArra
                 f"{name} has {int((~np.isfinite(field.values)).sum())} missing or infinite values: "
                 "fill them first, smoothly"
             )
-        if field.attrs.get("units", "mm") != "mm":
-            raise InputError(f"{name} is in {field.attrs['units']}: give it in mm")
+        for part in (field, field["x"], field["y"]):
+            unit = stated_unit("", part.attrs, str(part.name))
+            if unit not in (None, "mm"):
+                raise InputError(f"{part.name} is in {unit}: give it in mm")
     motion = motion.transpose("y", "x").sortby(["y", "x"])
     x0, x1, y0, y1 = layer_extent_of(loaded)
     slack = 1e-6 * max(x1 - x0, y1 - y0)

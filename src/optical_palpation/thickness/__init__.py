@@ -5,7 +5,11 @@ from optical_palpation.thickness.cleaning import clean_thickness
 from optical_palpation.thickness.corrections import Corrections, read_corrections
 from optical_palpation.thickness.frames import thickness_map
 from optical_palpation.thickness.initial import match_initial_thickness
-from optical_palpation.thickness.maps import read_thickness_map, write_thickness_map
+from optical_palpation.thickness.maps import (
+    read_height_map,
+    read_thickness_map,
+    write_thickness_map,
+)
 from optical_palpation.thickness.registration import lateral_shift, shift_map
 
 __all__ = [
@@ -16,6 +20,7 @@ __all__ = [
     "lateral_shift",
     "match_initial_thickness",
     "read_corrections",
+    "read_height_map",
     "read_thickness_map",
     "shift_map",
     "thickness_map",

@@ -10,6 +10,13 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from optical_palpation.errors import InputError
+from optical_palpation.volume.labels import axis_of
+from optical_palpation.volume.units import MM, stated_unit
+
+# Where less of the layer is measured, most of what is computed rests on pixels that are made up.
+_LEAST_MEASURED = 0.5
+# Numbers that programs write where they have none. Those below zero are refused anyhow.
+_MARKS = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 99.9, 999.9, 9999.9, 99.99, 32767.0, 65535.0)
 
 _MICROMETRES = ("um", "µm", "μm", "micron", "micrometer", "micrometre")
 
@@ -26,11 +33,52 @@ def thickness_map(
 ) -> xr.DataArray:
     """Make a thickness map of an array in memory; `values` is [y, x] in mm, NaN where missing.
 
+    Masked pixels of a ``numpy.ma`` array are missing. Of an ``xarray.DataArray`` the dimensions
+    say how it lies, its coordinates are taken where no others are given, and values and coordinates
+    are converted where its attributes state another unit than mm.
+
     The lateral frame is given by `x` and `y` (pixel centres in mm, ascending or descending), or
     by `field_of_view` or `pixel_spacing`; these, `layer_extent`, the result and the errors are
     those of :func:`read_thickness_map`. `where` names the map in error messages.
     """
-    data = checked_values(values, where)
+    plain, own = _unlabelled(values, where)
+    if x is None and y is None and field_of_view is None and pixel_spacing is None:
+        x, y = own.get("x"), own.get("y")
+    result = map_on_grid(
+        checked_values(plain, where),
+        x=x,
+        y=y,
+        field_of_view=field_of_view,
+        pixel_spacing=pixel_spacing,
+        where=where,
+    )
+    missing = np.isnan(result.values)
+    result.attrs = {
+        "units": "mm",
+        "long_name": "loaded thickness of the layer",
+        "layer_extent": _layer_extent(result, layer_extent, where),
+        "missing_share": float(missing.mean()),
+    }
+    measured = float(np.mean(~missing[inside_layer(result)]))
+    if measured < _LEAST_MEASURED:
+        raise InputError(
+            f"{where}: only {measured:.1%} of the layer's pixels are measured; with less than "
+            f"{_LEAST_MEASURED:.0%} the stress would rest on thickness that is made up. Measure "
+            "more, or give the extent of the part that was measured as layer extent"
+        )
+    return result.rename("loaded_thickness")
+
+
+def map_on_grid(
+    data: NDArray[np.float64],
+    *,
+    x: ArrayLike | None = None,
+    y: ArrayLike | None = None,
+    field_of_view: Sequence[float] | None = None,
+    pixel_spacing: Sequence[float] | None = None,
+    where: str = "map",
+) -> xr.DataArray:
+    """Put values [y, x] on ascending coordinates in mm, as :func:`thickness_map` does."""
     rows, columns = data.shape
     if (x is None) != (y is None):
         raise InputError(f"{where}: coordinates along both x and y are needed, or along neither")
@@ -62,22 +110,14 @@ def thickness_map(
                     f"{actual / (count - 1):g} mm apart"
                 )
         axes[axis] = positions
-    result = xr.DataArray(
+    return xr.DataArray(
         data,
         {
             axis: (axis, axes[axis], {"units": "mm", "long_name": f"lateral position {axis}"})
             for axis in "yx"
         },
         ("y", "x"),
-        name="loaded_thickness",
     ).sortby(["y", "x"])
-    result.attrs = {
-        "units": "mm",
-        "long_name": "loaded thickness of the layer",
-        "layer_extent": _layer_extent(result, layer_extent, where),
-        "missing_share": float(np.isnan(data).mean()),
-    }
-    return result
 
 
 def layer_extent_of(thickness: xr.DataArray) -> tuple[float, float, float, float]:
@@ -103,6 +143,12 @@ def on_grid(thickness: xr.DataArray) -> xr.DataArray:
             f"{thickness.dims} with coordinates {tuple(thickness.coords)}. Make one of an array "
             "with thickness_map"
         )
+    for part in (thickness, thickness["x"], thickness["y"]):
+        unit = stated_unit("", part.attrs, f"thickness map, {part.name}")
+        if unit not in (None, "mm"):
+            raise InputError(
+                f"thickness map: {part.name} is in {unit}; thickness_map makes a map in mm of it"
+            )
     for axis in ("x", "y"):
         _ascending(thickness[axis].values, axis, thickness.sizes[axis], "thickness map")
     for name, values in (("map", thickness), ("x", thickness["x"]), ("y", thickness["y"])):
@@ -132,24 +178,74 @@ def inside_layer(thickness: xr.DataArray) -> NDArray[np.bool_]:
 
 def checked_values(values: ArrayLike, where: str) -> NDArray[np.float64]:
     """Return `values` as float64 if they can be a thickness map, else raise an InputError."""
+    array = checked_heights(values, where)
+    _refuse(array, "zero or negative", array <= 0.0, where)
+    return array
+
+
+def checked_heights(values: ArrayLike, where: str) -> NDArray[np.float64]:
+    """Return `values` as float64 if they can be a map of lengths, else raise an InputError."""
     array = np.asarray(values)
     check_kind(array.shape, array.dtype, where)
     array = array.astype(np.float64)
-    missing = np.isnan(array)
-    if missing.all():
+    if np.isnan(array).all():
         raise InputError(f"{where}: all values are missing (NaN)")
-    for problem, bad in (
-        ("infinite", np.isinf(array)),
-        ("zero or negative", ~missing & (array <= 0.0)),
-    ):
-        if bad.any():
-            row, column = np.argwhere(bad)[0]
-            raise InputError(
-                f"{where}: {bad.sum()} of {array.size} values are {problem}, the first "
-                f"({array[row, column]:g}) in row {row}, column {column}; "
-                "mark missing pixels with NaN"
-            )
+    _refuse(array, "infinite", np.isinf(array), where)
+    _refuse_marks(array, where)
     return array
+
+
+def _refuse(array: NDArray[np.float64], problem: str, bad: NDArray[np.bool_], where: str) -> None:
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise InputError(
+            f"{where}: {bad.sum()} of {array.size} values are {problem}, the first "
+            f"({array[row, column]:g}) in row {row}, column {column}; mark missing pixels with NaN"
+        )
+
+
+def _refuse_marks(array: NDArray[np.float64], where: str) -> None:
+    """Refuse numbers by which programs mark missing pixels, where they stand far from the rest."""
+    lengths = np.abs(array[~np.isnan(array)])
+    largest = float(lengths.max())
+    others = lengths[lengths < largest]
+    is_mark = largest >= 1e20 or any(abs(largest - mark) <= 1e-6 * mark for mark in _MARKS)
+    if is_mark and (largest >= 1e20 or (others.size and largest > 1.5 * others.max())):
+        _refuse(
+            array,
+            f"{largest:g} in size, which is no length but a mark of missing pixels",
+            np.abs(array) == largest,
+            where,
+        )
+
+
+def _unlabelled(values: Any, where: str) -> tuple[NDArray[Any], dict[str, NDArray[np.float64]]]:
+    """Return values as [y, x] in mm, NaN where masked, and the coordinates that they carry."""
+    if isinstance(values, np.ma.MaskedArray):
+        check_kind(values.shape, values.dtype, where)
+        return np.ma.filled(values.astype(np.float64), np.nan), {}
+    if not isinstance(values, xr.DataArray):
+        if hasattr(values, "columns") or hasattr(values, "unit") or hasattr(values, "units"):
+            raise InputError(
+                f"{where}: a {type(values).__name__} carries labels or units that would be lost; "
+                "give an array of mm, or an xarray.DataArray"
+            )
+        return np.asarray(values), {}
+    check_kind(values.shape, values.dtype, where)
+    dims = [str(dim) for dim in values.dims]
+    order = [axis_of(dim) for dim in dims]
+    if set(order) & {"x", "y"}:
+        if set(order) != {"x", "y"}:
+            raise InputError(f"{where}: has the dimensions {values.dims}, not (y, x)")
+        values = values.transpose(*(dims[order.index(axis)] for axis in "yx"))
+    coordinates = {}
+    for axis, dim in zip("yx", values.dims, strict=True):
+        if dim in values.coords and order.count(axis):
+            own = values[dim]
+            unit = stated_unit(str(dim), own.attrs, f"{where}, coordinate {dim}") or "mm"
+            coordinates[axis] = _floats(own.values, axis, where) * MM[unit]
+    unit = stated_unit(str(values.name or ""), values.attrs, where) or "mm"
+    return np.asarray(values.values, np.float64) * MM[unit], coordinates
 
 
 def check_kind(shape: tuple[int, ...], dtype: np.dtype[Any], where: str) -> None:
@@ -167,10 +263,7 @@ def check_kind(shape: tuple[int, ...], dtype: np.dtype[Any], where: str) -> None
 
 
 def _ascending(given: ArrayLike, axis: str, count: int, where: str) -> NDArray[np.float64]:
-    try:
-        positions = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{where}: the {axis} coordinates are no numbers") from None
+    positions = _floats(given, axis, where)
     if positions.shape != (count,):
         raise InputError(f"{where}: {positions.size} {axis} coordinates for {count} pixels")
     steps = np.diff(positions)
@@ -179,6 +272,13 @@ def _ascending(given: ArrayLike, axis: str, count: int, where: str) -> NDArray[n
             f"{where}: the {axis} coordinates must be finite and rise or fall steadily"
         )
     return positions
+
+
+def _floats(given: ArrayLike, axis: str, where: str) -> NDArray[np.float64]:
+    try:
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: the {axis} coordinates are no numbers") from None
 
 
 def _numbers(name: str, given: Sequence[float], count: int) -> list[float]:

@@ -12,7 +12,9 @@ from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on
 # Median loaded over initial thickness outside this range is no compression but a wrong unit.
 _PLAUSIBLE_RATIO = (0.01, 100.0)
 # The same for the width of the layer over its thickness.
-_PLAUSIBLE_ASPECT = (0.1, 2000.0)
+_PLAUSIBLE_ASPECT = (0.1, 500.0)
+# Pixels further apart than this many thicknesses show nothing of a layer.
+_PLAUSIBLE_SPACING = 10.0
 
 
 def match_initial_thickness(initial: float | xr.DataArray, loaded: xr.DataArray) -> xr.DataArray:
@@ -119,6 +121,14 @@ def _check_units(loaded: xr.DataArray, loaded_median: float, initial_median: flo
     for axis, width in (("x", x1 - x0), ("y", y1 - y0)):
         if not _PLAUSIBLE_ASPECT[0] < width / initial_median < _PLAUSIBLE_ASPECT[1]:
             raise InputError(
-                f"the layer is {width:g} mm wide along {axis} and {initial_median:g} mm thick: one "
-                "of them is probably not in mm"
+                f"the layer is {width:g} mm wide along {axis} and {initial_median:g} mm thick, a "
+                f"ratio of {width / initial_median:.3g}: one of them is probably not in mm (is the "
+                "field of view or pixel spacing in um?)"
+            )
+        step = float(np.median(np.diff(loaded[axis].values)))
+        if step > _PLAUSIBLE_SPACING * initial_median:
+            raise InputError(
+                f"pixels lie {step:g} mm apart along {axis}, {step / initial_median:.3g} times the "
+                f"layer's thickness of {initial_median:g} mm: one of them is probably not in mm "
+                "(is the pixel spacing or field of view in um?)"
             )

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -16,14 +15,18 @@ from numpy.typing import NDArray
 from optical_palpation.errors import InputError
 from optical_palpation.files import readable_name, replacing
 from optical_palpation.runtime import software_version
-from optical_palpation.thickness.formats import Variable, read_variables
-from optical_palpation.thickness.frames import check_kind, checked_values, thickness_map
-
-LengthUnit = Literal["mm", "um"]
-
-_UNITS: dict[str, LengthUnit] = {"mm": "mm", "millimeter": "mm", "millimetre": "mm"}
-_UNITS |= dict.fromkeys(("um", "µm", "μm", "micron", "micrometer", "micrometre"), "um")
-_FACTORS = {"mm": 1.0, "um": 1e-3}
+from optical_palpation.thickness.frames import (
+    check_kind,
+    checked_heights,
+    checked_values,
+    map_on_grid,
+    thickness_map,
+)
+from optical_palpation.volume import zarr_store
+from optical_palpation.volume.contents import Contents, Variable, translated_errors
+from optical_palpation.volume.labels import axis_of, labelled, values_of
+from optical_palpation.volume.opening import MAP_READERS, open_contents
+from optical_palpation.volume.units import MM, is_unit_key, stated_unit
 
 
 def read_thickness_map(
@@ -34,24 +37,29 @@ def read_thickness_map(
     field_of_view: Sequence[float] | None = None,
     pixel_spacing: Sequence[float] | None = None,
     layer_extent: Sequence[float] | None = None,
+    untrusted: bool = False,
 ) -> xr.DataArray:
     """Read a thickness map from a file of any format that people keep them in.
 
     The format is told from the content. Lengths in the file are mm unless a suffix of the
-    variable's name (``L1_um``), its ``units`` attribute or `length_unit` says otherwise.
+    variable's name (``L1_um``), its attribute ``units`` (or ``unit``) or `length_unit` says
+    otherwise. Dimensions and coordinates named x and y say how the map lies; where nothing does,
+    rows are y and columns are x.
 
-    Pixels that a variable ``filled`` of the same file marks are missing: their values were made up
+    Missing are pixels that are NaN, that the file marks by a fill value or a valid range, that were
+    never written, or that a variable ``filled`` of the same file marks: their values were made up
     and not measured.
 
     Parameters
     ----------
     path
-        MATLAB .mat (v5 to v7.3), .npy, .npz, .csv or .txt, floating-point .tif or NetCDF.
+        MATLAB .mat (v5 to v7.3), .npy, .npz, .csv or .txt, floating-point .tif, NetCDF, HDF5; any
+        format of :func:`~optical_palpation.volume.open_volume` that holds such a map.
     variable
         Name of the map in the file; may be left out when exactly one array of the file can be one
         (two dimensions, floating-point, at least 2 x 2), or one of these is called ``thickness``.
     length_unit
-        ``"mm"`` or ``"um"``, the unit of the thickness values in the file.
+        ``"mm"`` or ``"um"`` (or nm, cm, m), the unit of the thickness values in the file.
     field_of_view
         (x, y) distance in mm from the centre of the first to the centre of the last pixel, so that
         the pixel spacing is the field of view over (number of pixels - 1). The first pixel lies at
@@ -62,6 +70,8 @@ def read_thickness_map(
         (x0, x1, y0, y1) in mm: where the layer lies in the coordinates of the map, which may reach
         beyond it. By default the extent stated in a file of :func:`write_thickness_map`, else
         the whole map.
+    untrusted
+        Try an HDF5 file out in a process of its own first, as ``open_volume`` does.
 
     Returns
     -------
@@ -74,42 +84,189 @@ def read_thickness_map(
     ------
     InputError
         If the file cannot be read, holds no such map or more than one, if the map has a wrong
-        shape or type, infinite, zero or negative values or nothing but missing ones, or if unit,
-        field of view, spacing, coordinates and layer extent are missing or contradict each other.
+        shape or type, infinite, zero or negative values, marks of missing pixels that nothing
+        declares as such, or less than half of the layer measured, and if labels, unit, field of
+        view, spacing, coordinates, mask and layer extent are missing or contradict each other.
     """
-    path = Path(path)
-    variables = read_variables(path)
-    name = _choose(variables, variable, path)
-    where = f"{path}, variable {name}" if name else str(path)
-    array = variables[name]
-    unit = _length_unit(name, array.unit, length_unit, where) or "mm"
-    check_kind(array.shape, array.dtype, where)
-    values = checked_values(array.values, where)
-    filled = variables.get("filled")
-    if filled is not None and filled.shape == values.shape and filled.dtype.kind in "biu":
-        values[filled.values != 0] = np.nan
-    dims = [_axis(dim) for dim in array.dims]
-    if dims == ["x", "y"]:
-        values = values.T
-    x, y = (_coordinate(variables, values.shape, axis, array.dims, path) for axis in "xy")
+    found = _read(Path(path), variable, length_unit, untrusted, checked_values)
+    coordinates = found.coordinates
+    if field_of_view is None and pixel_spacing is None:
+        coordinates = coordinates or found.stated
+    stated = found.attrs.get("layer_extent") if layer_extent is None else layer_extent
     result = thickness_map(
-        values * _FACTORS[unit],
-        x=x,
-        y=y,
+        found.values,
+        **coordinates,  # type: ignore[arg-type]
         field_of_view=field_of_view,
         pixel_spacing=pixel_spacing,
-        layer_extent=array.attrs.get("layer_extent") if layer_extent is None else layer_extent,  # type: ignore[arg-type]
-        where=where,
+        layer_extent=stated,  # type: ignore[arg-type]
+        where=found.where,
     )
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    result.attrs |= {
-        "source": readable_name(path),
-        "source_sha256": digest,
-        "source_variable": name,
-        "source_length_unit": unit,
-    }
+    _check_spacing(result, found)
+    result.attrs |= dict(found.source)
     return result
+
+
+def read_height_map(
+    path: str | os.PathLike[str], *, variable: str | None = None, untrusted: bool = False
+) -> xr.DataArray:
+    """Read a map of heights, which may be negative, from a file with coordinates.
+
+    Parameters
+    ----------
+    path, variable, untrusted
+        As for :func:`read_thickness_map`.
+
+    Returns
+    -------
+    xarray.DataArray
+        ``height`` in mm on ``(y, x)``, coordinates ascending in mm, NaN where missing.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_thickness_map`, or if the file has no coordinates.
+    """
+    found = _read(Path(path), variable, None, untrusted, checked_heights)
+    result = map_on_grid(
+        found.values,
+        **(found.coordinates or found.stated),  # type: ignore[arg-type]
+        where=found.where,
+    )
+    return result.rename("height").assign_attrs(units="mm", **found.source)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A map of a file: values [y, x] and coordinates in mm, by variables or by the format."""
+
+    values: NDArray[np.float64]
+    coordinates: dict[str, NDArray[np.float64]]
+    stated: dict[str, NDArray[np.float64]]
+    attrs: Mapping[str, object]
+    where: str
+    source: Mapping[str, object]
+
+
+def _read(
+    path: Path,
+    variable: str | None,
+    length_unit: str | None,
+    untrusted: bool,
+    checked: Callable[[NDArray, str], NDArray[np.float64]],
+) -> _Found:
+    if path.is_dir() and not zarr_store.recognises(path, b""):
+        raise InputError(f"{path} is a directory; give one file")
+    reader, contents = open_contents(path, variable, readers=MAP_READERS, untrusted=untrusted)
+    with contents, translated_errors(path, reader.FORMAT):
+        name = _choose(contents.variables, variable, path)
+        where = f"{path}, variable {name}" if name else str(path)
+        array = contents.variables[name]
+        attrs = array.attrs
+        if not any(is_unit_key(key) for key in attrs):
+            attrs = {**attrs, **{k: v for k, v in contents.texts.items() if is_unit_key(k)}}
+        unit = stated_unit(name, attrs, where, length_unit) or "mm"
+        check_kind(array.shape, array.dtype, where)
+        found = labelled(path, contents, name)
+        values = found.values.astype(np.float64)
+        _apply_mask(path, contents, name, values)
+        values = checked(values, where)
+    coordinates = {axis: at for axis, at in found.positions.items() if at is not None}
+    if path.is_file():
+        with path.open("rb") as file:
+            digest = {"source_sha256": hashlib.file_digest(file, "sha256").hexdigest()}
+    else:
+        digest = {}
+    source = {"source": readable_name(path), **digest}
+    source |= {"source_variable": name, "source_length_unit": unit}
+    stated = _stated(array, values.shape, where)
+    return _Found(values * MM[unit], coordinates, stated, array.attrs, where, source)
+
+
+def _stated(array: Variable, shape: tuple[int, ...], where: str) -> dict[str, NDArray[np.float64]]:
+    """Coordinates from the spacing that the format states, as ImageJ and NIfTI do, if it does."""
+    steps, starts = array.stated.spacing, array.stated.origin or (0.0, 0.0)
+    if steps is None or len(steps) != 2 or len(starts) != 2:
+        return {}
+    x_first = axis_of("".join(array.dims[:1])) == "x"
+    found = {}
+    for axis, n, at in (("y", shape[0], int(x_first)), ("x", shape[1], int(not x_first))):
+        step = steps[at]
+        if step is None:
+            return {}
+        if not (np.isfinite(step) and step > 0.0 and np.isfinite(starts[at])):
+            raise InputError(f"{where}: the file states a spacing of {step:g} mm along {axis}")
+        found[axis] = starts[at] + step * np.arange(n, dtype=np.float64)
+    return found
+
+
+def _check_spacing(map_: xr.DataArray, found: _Found) -> None:
+    for axis, positions in found.stated.items():
+        step = positions[1] - positions[0]
+        actual = float(np.ptp(map_[axis].values)) / (map_.sizes[axis] - 1)
+        if abs(actual - step) > 1e-4 * step:
+            raise InputError(
+                f"{found.where}: the file states a pixel spacing of {step:g} mm along {axis}, what "
+                f"is given makes it {actual:g} mm (the field of view is the distance between the "
+                "centres of the first and the last pixel)"
+            )
+
+
+_FILLED = "filled"
+#: Masks whose names do not say which of their values means missing.
+_OTHER_MASKS = {
+    "mask",
+    "masked",
+    "valid",
+    "invalid",
+    "missing",
+    "measured",
+    "nodata",
+    "bad",
+    "good",
+}
+
+
+def _apply_mask(path: Path, contents: Contents, name: str, values: NDArray[np.float64]) -> None:
+    """Set what a variable ``filled`` beside the map marks to NaN; refuse masks of other names."""
+    group = name.rpartition("/")[0]
+    for other, variable in contents.variables.items():
+        stem = other.rpartition("/")[2].lower()
+        if other == name or other.rpartition("/")[0] != group:
+            continue
+        where = f"{path}, variable {other}"
+        if stem == _FILLED:
+            values[_flags(path, contents, other, values.shape, where)] = np.nan
+        elif stem in _OTHER_MASKS and variable.shape in (values.shape, values.shape[::-1]):
+            if variable.dtype.kind not in "biuf":
+                continue
+            mask = values_of(path, other, variable)
+            if mask.any() and not mask.all():
+                raise InputError(
+                    f"{where} looks like a mask of the map, but its name does not say what it "
+                    f"marks: call it {_FILLED}, nonzero where a pixel is missing, or write NaN "
+                    "into the map and leave it out"
+                )
+
+
+def _flags(
+    path: Path, contents: Contents, name: str, shape: tuple[int, ...], where: str
+) -> NDArray[np.bool_]:
+    variable = contents.variables[name]
+    if variable.dtype.kind not in "biuf" or len(variable.shape) != 2:
+        raise InputError(
+            f"{where} should mark pixels that are missing by 1 or true, but its shape is "
+            f"{variable.shape} and its type {variable.dtype}"
+        )
+    flags = labelled(path, contents, name).values
+    if flags.shape != shape:
+        raise InputError(
+            f"{where} marks {flags.shape[0]} x {flags.shape[1]} pixels (y, x), the map has "
+            f"{shape[0]} x {shape[1]}"
+            + ("; is it transposed?" if flags.shape == shape[::-1] else "")
+        )
+    if not np.isin(flags, (0, 1)).all():
+        raise InputError(f"{where} should hold 0 and 1, nonzero where a pixel is missing")
+    return flags.astype(bool)
 
 
 def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.PathLike[str]) -> None:
@@ -135,7 +292,7 @@ def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.Pat
         temporary.write_bytes(content)
 
 
-def _choose(variables: dict[str, Variable], wanted: str | None, path: Path) -> str:
+def _choose(variables: Mapping[str, Variable], wanted: str | None, path: Path) -> str:
     listing = ", ".join(
         f"{name} ({' x '.join(map(str, array.shape)) or 'scalar'} {array.dtype})"
         for name, array in variables.items()
@@ -154,10 +311,13 @@ def _choose(variables: dict[str, Variable], wanted: str | None, path: Path) -> s
         if len(array.shape) == 2
         and array.dtype.kind == "f"
         and min(array.shape) > 1
-        and _axis(name) not in ("x", "y")
+        and axis_of(name) not in ("x", "y")
+        and name.rpartition("/")[2].lower() not in _OTHER_MASKS | {_FILLED}
     ]
     if "thickness" in fitting:
         return "thickness"
+    at_root = [name for name in fitting if "/" not in name]
+    fitting = at_root or fitting
     if len(fitting) != 1:
         problem = "more than one array that can be" if fitting else "no array that can be"
         raise InputError(
@@ -166,67 +326,3 @@ def _choose(variables: dict[str, Variable], wanted: str | None, path: Path) -> s
             + (". Name one of them as variable" if fitting else "")
         )
     return fitting[0]
-
-
-def _split_unit(name: str) -> tuple[str, LengthUnit | None]:
-    match = re.fullmatch(r"(.*)_(mm|um|µm|μm)", name)
-    return (match[1], _UNITS[match[2]]) if match else (name, None)
-
-
-def _axis(name: str) -> str:
-    return _split_unit(name)[0].lower()
-
-
-def _length_unit(
-    name: str, attribute: str | None, given: str | None, where: str
-) -> LengthUnit | None:
-    """Return the unit that name, attribute and user agree on, None if none of them says one."""
-    stated: dict[str, LengthUnit] = {}
-    suffix = _split_unit(name)[1]
-    if suffix:
-        stated["its name"] = suffix
-    for origin, text in (("its units attribute", attribute), ("length_unit", given)):
-        if text is None:
-            continue
-        unit = _UNITS.get(text.strip().lower().removesuffix("s"))
-        if unit is None:
-            raise InputError(f"{where}: {origin} is {text!r}; known units of length are mm and um")
-        stated[origin] = unit
-    if len(set(stated.values())) > 1:
-        says = ", ".join(f"{origin} says {unit}" for origin, unit in stated.items())
-        raise InputError(f"{where}: contradicting units of length: {says}")
-    return next(iter(stated.values()), None)
-
-
-def _coordinate(
-    variables: dict[str, Variable],
-    shape: tuple[int, ...],
-    axis: str,
-    dims: tuple[str, ...],
-    path: Path,
-) -> NDArray[np.float64] | None:
-    """Pixel centres along an axis in mm, None if the file has none."""
-    names = [name for name in variables if _axis(name) == axis]
-    own = [name for name in names if name in dims] or names
-    if not own:
-        return None
-    where = f"{path}, variable {own[0]}"
-    if len(own) > 1:
-        raise InputError(f"{path} has several coordinates along {axis}: {', '.join(own)}")
-    array = variables[own[0]]
-    count = shape["yx".index(axis)]
-    vector = np.empty(0)
-    if array.dtype.kind in "fiu" and tuple(n for n in array.shape if n > 1) in ((count,), shape):
-        vector = array.values.squeeze()
-    if vector.shape == shape:  # a coordinate of every pixel, as meshgrid makes them
-        grid = vector if axis == "x" else vector.T
-        vector = grid[0] if np.array_equal(grid, np.broadcast_to(grid[0], grid.shape)) else grid
-    if vector.shape != (count,):
-        raise InputError(
-            f"{where} should hold the {axis} coordinates of {count} pixels (the map has "
-            f"{shape[0]} rows along y and {shape[1]} columns along x), but its shape is "
-            f"{array.shape} and its type {array.dtype}. If it is something else, "
-            "store the map in a file of its own"
-        )
-    unit = _length_unit(own[0], array.unit, None, where) or "mm"
-    return vector.astype(np.float64) * _FACTORS[unit]

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .arrays import FileArray, PagedArray, check_array, nbytes, reversed_axes, squeezed
-from .metadata import Access
+from .arrays import Array, FileArray, PagedArray, WholeArray, nbytes, reversed_axes, squeezed
 
 # Room for 100,000 members; zipfile holds the whole directory in memory.
 _MAX_DIRECTORY_BYTES = 8 * 2**20
@@ -107,15 +106,14 @@ def member_array(
     *,
     skip: int = 0,
     order: str = "C",
-) -> tuple[Any, Access]:
-    """Make an array of a member's samples, and tell how they are accessed.
+) -> Array:
+    """Make an array of a member's samples.
 
     A stored member is mapped in place. A deflated one is streamed page by page: forward reading
     is cheap, going back starts anew.
     """
     shape = tuple(shape)
     where = f"{archive.filename}: {member.filename}"
-    check_array(shape, dtype, where)
     expected = skip + nbytes(shape, dtype)
     if member.file_size != expected:
         raise InputError(
@@ -126,10 +124,16 @@ def member_array(
     if member.compress_type == zipfile.ZIP_STORED:
         stream.close()
         path = Path(os.fspath(archive.filename or ""))
-        return FileArray(
-            path, dtype, shape, _data_offset(path, member) + skip, order=order
-        ), "mapped"
+        return FileArray(path, dtype, shape, _data_offset(path, member) + skip, order=order)
 
+    if len(shape) not in (2, 3):
+
+        def read_all() -> NDArray[Any]:
+            stream.seek(skip)
+            data = stream.read(nbytes(shape, dtype))
+            return np.frombuffer(data, dtype).reshape(shape, order="F" if order == "F" else "C")
+
+        return WholeArray(read_all, dtype, shape)
     pages = shape if order == "C" else shape[::-1]
     slowest, rows, columns = pages if len(pages) == 3 else (1, *pages)
     page_bytes = nbytes((rows, columns), dtype)
@@ -144,7 +148,7 @@ def member_array(
     array: Any = PagedArray(read_page, dtype, (slowest, rows, columns))
     if len(pages) == 2:
         array = squeezed(array, keep=2)
-    return (array if order == "C" else reversed_axes(array)), "streamed"
+    return array if order == "C" else reversed_axes(array)
 
 
 def _data_offset(path: Path, member: zipfile.ZipInfo) -> int:

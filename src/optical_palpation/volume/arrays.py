@@ -108,6 +108,20 @@ class PagedArray:
         return page
 
 
+class WholeArray:
+    """An array that is decoded whole, by ``read()``, whatever part of it is asked for."""
+
+    random_access = False
+
+    def __init__(
+        self, read: Callable[[], NDArray[Any]], dtype: np.dtype[Any], shape: tuple[int, ...]
+    ) -> None:
+        self._read, self.dtype, self.shape, self.chunks = read, dtype, shape, shape
+
+    def __getitem__(self, key: Key) -> NDArray[Any]:
+        return self._read()[key]
+
+
 class LazyArray:
     """An array of a library that reads slices by itself (h5py, zarr, nibabel), or in memory."""
 
@@ -150,11 +164,17 @@ def reversed_axes(base: Array) -> View:
 
 def squeezed(base: Array, keep: int = 3) -> Array:
     """Leave out axes of length one, the first ones first, until ``keep`` axes remain."""
-    axes = list(range(len(base.shape)))
-    for axis in range(len(base.shape)):
-        if len(axes) > keep and base.shape[axis] == 1:
-            axes.remove(axis)
+    axes = squeezed_axes(base.shape, keep)
     return base if len(axes) == len(base.shape) else View(base, tuple(axes))
+
+
+def squeezed_axes(shape: tuple[int, ...], keep: int = 3) -> list[int]:
+    """Numbers of the axes that :func:`squeezed` leaves."""
+    axes = list(range(len(shape)))
+    for axis, n in enumerate(shape):
+        if len(axes) > keep and n == 1:
+            axes.remove(axis)
+    return axes
 
 
 def nbytes(shape: tuple[int, ...], dtype: np.dtype[Any]) -> int:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .arrays import MAX_BSCAN_BYTES, PagedArray, check_array, nbytes, squeezed
+from .contents import Contents
 from .metadata import Stated
-from .volume import Source
 
 FORMAT = "DICOM"
 
@@ -25,7 +25,7 @@ def recognises(path: Path, head: bytes) -> bool:
     return head[128:132] == b"DICM"
 
 
-def read(path: Path, variable: str | None) -> Source:
+def contents(path: Path, wanted: str | None) -> Contents:
     """Read the header, without the frames."""
     try:
         import pydicom
@@ -67,20 +67,51 @@ def read(path: Path, variable: str | None) -> Source:
     if nbytes((rows, columns), stored) > MAX_BSCAN_BYTES:
         raise InputError(f"{path}: frames of {rows} x {columns} samples are too large")
 
-    slope = _number(path, header, "RescaleSlope", 1)
-    intercept = _number(path, header, "RescaleIntercept", 0)
-    scaled = (slope, intercept) != (1.0, 0.0)
+    transform = _transform(path, header)
+    slope = _number(path, transform, "RescaleSlope", 1)
+    intercept = _number(path, transform, "RescaleIntercept", 0)
+    padding = _padding(path, header)
+    scaled = (slope, intercept) != (1.0, 0.0) or padding is not None
 
     def read_page(index: int) -> NDArray[Any]:
         frame = pixel_array(path, index=index)
-        return frame * np.float32(slope) + np.float32(intercept) if scaled else frame
+        if not scaled:
+            return frame
+        values = frame * np.float32(slope) + np.float32(intercept)
+        if padding is not None:
+            values[(frame >= padding[0]) & (frame <= padding[1])] = np.nan
+        return values
 
     array: Any = PagedArray(
         read_page, np.dtype(np.float32) if scaled else stored, (frames, rows, columns)
     )
     if frames == 1:
         array = squeezed(array, keep=2)
-    return Source(array, _stated(path, header, frames), "streamed")
+    return Contents.single(array, _stated(path, header, frames), "streamed")
+
+
+def _transform(path: Path, header: Any) -> Any:
+    """Where slope and intercept stand: in the header, or in what all frames share."""
+    if header.get("ModalityLUTSequence"):
+        raise InputError(f"{path}: samples are coded by a table (Modality LUT), not supported")
+    for frame in header.get("PerFrameFunctionalGroupsSequence") or ():
+        if frame.get("PixelValueTransformationSequence"):
+            raise InputError(f"{path}: every frame has a scale of its own, which is not supported")
+    groups = header.get("SharedFunctionalGroupsSequence")
+    if groups is not None and len(groups) == 1:
+        items = groups[0].get("PixelValueTransformationSequence")
+        if items is not None and len(items) == 1:
+            return items[0]
+    return header
+
+
+def _padding(path: Path, header: Any) -> tuple[float, float] | None:
+    """Lowest and highest stored value that stands for no sample."""
+    if header.get("PixelPaddingValue") in (None, ""):
+        return None
+    value = _number(path, header, "PixelPaddingValue", 0)
+    limit = _number(path, header, "PixelPaddingRangeLimit", value)
+    return min(value, limit), max(value, limit)
 
 
 def _stated(path: Path, header: Any, frames: int) -> Stated:

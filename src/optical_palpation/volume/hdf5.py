@@ -1,13 +1,17 @@
 """HDF5 and netCDF-4 files.
 
 The dataset's attributes ``axes``, ``spacing_mm``, ``origin_mm``, ``scale`` and
-``refractive_index`` describe it; in netCDF the named dimensions and their coordinates do.
+``refractive_index`` describe it as a volume; so do its named dimensions and their coordinates.
+Axes are named by netCDF's dimensions, HDF5's dimension scales or its dimension labels. Chunks that
+were never written are missing, not zero.
 """
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .arrays import MAX_BSCAN_BYTES, LazyArray, check_array, nbytes
-from .metadata import Access, Stated, described, to_mm
-from .numpy_files import pick
-from .volume import Source
+from .arrays import MAX_BSCAN_BYTES, Key, LazyArray, nbytes
+from .cf import Decoded
+from .contents import Contents, Variable
+from .metadata import DESCRIPTIONS, described
+from .units import is_unit_key
 
 FORMAT = "HDF5"
 
@@ -26,6 +31,9 @@ MAGIC = b"\x89HDF\r\n\x1a\n"
 _MAX_OBJECTS = 10_000
 _TRIAL_SECONDS = 3.0
 _MAX_RATIO = 10_000
+#: Attributes by which HDF5 and netCDF keep their own books.
+_OWN_ATTRS = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS"}
+_OWN_ATTRS |= {"_Netcdf4Dimid", "_Netcdf4Coordinates"}
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -33,22 +41,37 @@ def recognises(path: Path, head: bytes) -> bool:
     return any(head[at : at + 8] == MAGIC for at in (0, 512, 1024, 2048))
 
 
-def read(path: Path, variable: str | None) -> Source:
-    """Find the dataset and what its attributes say."""
+def contents(path: Path, wanted: str | None) -> Contents:
+    """Find the datasets, what names their axes and what their attributes say."""
     file = open_file(path)
     try:
-        dataset = find_dataset(path, file, variable)
-        access: Access = "streamed" if dataset.chunks else "mapped"
-        return Source(dataset_array(path, dataset), _stated(path, dataset), access, file.close)
+        found = {
+            name: _variable(path, file, name, item)
+            for name, item in datasets(path, file)
+            if (item.dtype.kind in "biufc" or is_complex_pair(item.dtype)) and not _is_bare(item)
+        }
+        texts = {key: str(text) for key, text in _attributes(file).items() if is_unit_key(key)}
+        return Contents(found, file.close, texts)
     except BaseException:
         file.close()
         raise
 
 
 def open_file(path: Path) -> Any:
-    """Open an HDF5 file that a process of its own has been through without harm."""
+    """Open an HDF5 file for reading."""
     import h5py
 
+    return h5py.File(path, "r")
+
+
+def try_out(path: Path) -> None:
+    """Let a process of its own go through a file that may be hostile, under limits.
+
+    Raises
+    ------
+    InputError
+        If it crashes, takes too much memory or does not come to an end.
+    """
     script = str(Path(__file__).with_name("hdf5_trial.py"))
     trial = subprocess.Popen(
         [sys.executable, "-P", script, str(path)],
@@ -70,41 +93,68 @@ def open_file(path: Path) -> Any:
     if trial.returncode != 0:
         reason = (complaint.strip().splitlines() or ["the HDF5 library crashed"])[-1][:200]
         raise InputError(f"{path}: damaged HDF5 file ({reason})")
-    return h5py.File(path, "r")
 
 
-def find_dataset(path: Path, file: Any, variable: str | None) -> Any:
-    """Find the dataset of that name, or the only one that can be a volume."""
+def datasets(path: Path, file: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the datasets of a file that hold values, not those that links point to."""
     import h5py
 
-    shapes: dict[str, tuple[int, ...]] = {}
+    names: list[str] = []
     count = 0
 
     def visit(name: str, item: Any) -> bool | None:
         nonlocal count
         count += 1
-        if isinstance(item, h5py.Dataset) and item.shape:
-            shapes[name] = item.shape
+        if isinstance(item, h5py.Dataset) and item.shape is not None:
+            names.append(name)
         return True if count > _MAX_OBJECTS else None
 
     # Follows neither soft nor external links: nothing outside this file is opened.
     if file.visititems(visit):
         raise InputError(f"{path}: holds more than {_MAX_OBJECTS} objects")
-    name = variable.strip("/") if variable is not None else None
-    return file[pick(path, shapes, name, list(shapes))]
+    for name in names:
+        yield name, file[name]
 
 
-def dataset_array(path: Path, dataset: Any) -> LazyArray:
-    """Array of a dataset whose samples lie in this file."""
-    names = dataset.dtype.names
-    parts = set(names or ()) == {"real", "imag"}
-    dtype = np.dtype(np.complex128) if parts else dataset.dtype
-    check_array(dataset.shape, dtype, f"{path}: {dataset.name}")
-    check_stored(path, dataset)
-    return LazyArray(_MatlabComplex(dataset) if parts else dataset, dataset.chunks)
+def stored_array(path: Path, dataset: Any) -> _Stored:
+    """Values of a dataset that lie in this file, NaN where a chunk was never written."""
+    _check_stored(path, dataset)
+    return _Stored(path, dataset)
 
 
-def check_stored(path: Path, dataset: Any) -> None:
+def is_complex_pair(dtype: np.dtype[Any]) -> bool:
+    """Tell whether values are pairs ``real`` and ``imag``, as MATLAB stores complex numbers."""
+    return set(dtype.names or ()) in ({"real", "imag"}, {"r", "i"})
+
+
+def _variable(path: Path, file: Any, name: str, item: Any) -> Variable:
+    where = f"{path}, variable {name}"
+    attrs = {key: value for key, value in _attributes(item).items() if key not in _OWN_ATTRS}
+    facts = described({n: item.attrs[n] for n in DESCRIPTIONS if n in item.attrs}, where)
+    access = "streamed" if item.chunks else "mapped"
+    if item.dtype.kind not in "iuf" or "MATLAB_class" in item.attrs:
+        dtype = np.dtype(np.complex128) if item.dtype.names else item.dtype
+        opened: Any = partial(stored_array, path, item)
+        return Variable(item.shape, dtype, opened, access, _dims(file, item), attrs, facts)  # type: ignore[arg-type]
+    dims = _dims(file, item)
+    decoding = partial(
+        Decoded,
+        # xarray, which decodes, wants names for all axes, and all of them different.
+        dims=[f"axis {number}" for number in range(item.ndim)],
+        attrs=attrs,
+        fills=_fill_value(item, attrs),
+        by_netcdf="_NCProperties" in file.attrs or "_Netcdf4Dimid" in item.attrs,
+        where=where,
+    )
+    unread = decoding(np.broadcast_to(np.zeros((), item.dtype), item.shape))
+
+    def open_decoded() -> LazyArray:
+        return LazyArray(decoding(stored_array(path, item)), item.chunks)
+
+    return Variable(item.shape, unread.dtype, open_decoded, access, dims, unread.attrs, facts)  # type: ignore[arg-type]
+
+
+def _check_stored(path: Path, dataset: Any) -> None:
     """Refuse a dataset whose values lie elsewhere, or are more than what is stored can hold."""
     where = f"{path}: {dataset.name}"
     if dataset.external or dataset.is_virtual:
@@ -116,59 +166,137 @@ def check_stored(path: Path, dataset: Any) -> None:
         raise InputError(f"{where} of shape {dataset.shape} has only {stored} bytes stored")
 
 
-class _MatlabComplex:
-    """Complex samples stored as pairs named ``real`` and ``imag``, as MATLAB does."""
+class _Stored:
+    """A dataset; complex where it holds pairs, NaN where chunks are absent."""
 
-    def __init__(self, dataset: Any) -> None:
+    random_access = True
+
+    def __init__(self, path: Path, dataset: Any) -> None:
         self._dataset = dataset
-        self.shape = dataset.shape
-        self.dtype = np.dtype(np.complex128)
+        self.shape: tuple[int, ...] = dataset.shape
+        pairs = is_complex_pair(dataset.dtype)
+        self._parts = [n for n in ("real", "r", "imag", "i") if pairs and n in dataset.dtype.names]
+        self.dtype = np.dtype(np.complex128) if pairs else dataset.dtype
+        self.chunks = dataset.chunks or (1,) * len(self.shape)
+        self._written = _written_chunks(path, dataset)
 
-    def __getitem__(self, key: tuple[slice, ...]) -> NDArray[Any]:
-        pairs = self._dataset[key]
-        values = np.empty(pairs.shape, np.complex128)
-        values.real, values.imag = pairs["real"], pairs["imag"]
+    def __getitem__(self, key: Key) -> NDArray[Any]:
+        stored = self._dataset[key]
+        if self._parts:
+            values = np.empty(stored.shape, np.complex128)
+            values.real, values.imag = (stored[part] for part in self._parts)
+        else:
+            values = np.asarray(stored)
+        if self._written is None:
+            return values
+        values = values.astype(np.result_type(values.dtype, np.float32))
+        chunk_of = [
+            np.arange(*part.indices(n)) // size
+            for part, n, size in zip(key, self.shape, self.chunks, strict=True)
+        ]
+        values[~self._written[np.ix_(*chunk_of)]] = np.nan
         return values
 
 
-def _stated(path: Path, dataset: Any) -> Stated:
-    where = f"{path}: {dataset.name}"
-    names = ("axes", "spacing_mm", "origin_mm", "scale", "refractive_index")
-    stated = described({n: dataset.attrs[n] for n in names if n in dataset.attrs}, where)
-    if stated.axes is None and stated.spacing is None and len(dataset.shape) == 3:
-        return _netcdf(dataset, stated, where)
-    return stated
+def _written_chunks(path: Path, dataset: Any) -> NDArray[np.bool_] | None:
+    """Which chunks are in the file; None if all are."""
+    if not dataset.chunks:
+        return None
+    counts = [-(-n // size) for n, size in zip(dataset.shape, dataset.chunks, strict=True)]
+    expected, stored = int(np.prod(counts, dtype=object)), dataset.id.get_num_chunks()
+    if stored >= expected:
+        return None
+    if expected > 10**7:
+        raise InputError(f"{path}: {dataset.name} has {stored} of {expected} chunks written")
+    written = np.zeros(counts, bool)
+    for number in range(stored):
+        offset = dataset.id.get_chunk_info(number).chunk_offset
+        at = tuple(start // size for start, size in zip(offset, dataset.chunks, strict=True))
+        if all(i < n for i, n in zip(at, counts, strict=True)):
+            written[at] = True
+    return written
 
 
-def _netcdf(dataset: Any, stated: Stated, where: str) -> Stated:
-    """Axes, spacing and origin from dimension scales called z, y and x."""
+def _is_bare(item: Any) -> bool:
+    """Tell whether a dataset stands for a netCDF dimension without coordinates."""
+    name = item.attrs.get("NAME", b"") if item.ndim == 1 else b""
+    return "This is a netCDF dimension but not a netCDF variable" in str(_plain(name))
+
+
+def _fill_value(item: Any, attrs: Mapping[str, object]) -> list[float]:
+    """Value that the dataset's author chose for what is not written, where it cannot be data."""
     import h5py
 
-    # By the numbers of netCDF's dimensions, not by HDF5's lists of references to them: those are of
-    # variable length, and a damaged length makes the library loop or take gigabytes.
-    numbers = np.ravel(dataset.attrs.get("_Netcdf4Coordinates", ()))
-    by_number = {
-        int(item.attrs["_Netcdf4Dimid"]): item
-        for name in ("z", "y", "x")
-        if isinstance(item := dataset.parent.get(name), h5py.Dataset)
-        and np.shape(item.attrs.get("_Netcdf4Dimid")) == ()
+    if "_FillValue" in attrs or item.dtype.itemsize < 2:
+        return []
+    defined = item.id.get_create_plist().fill_value_defined()
+    fill = item.fillvalue if defined == h5py.h5d.FILL_VALUE_USER_DEFINED else 0
+    return [] if fill == 0 or fill != fill else [fill]  # NaN is missing as it is
+
+
+def _attributes(item: Any) -> dict[str, object]:
+    """Attributes with text for bytes, and a scalar for an array of one number."""
+    return {
+        key: _plain(item.attrs[key])
+        for key in item.attrs
+        # Lists of references: never needed here, and what damage makes the library loop on.
+        if key not in ("REFERENCE_LIST", "DIMENSION_LIST")
     }
-    scales = [by_number.get(int(n)) for n in numbers]
-    axes = "".join(s.name.rpartition("/")[2] if s is not None else "?" for s in scales)
-    if sorted(axes) != ["x", "y", "z"] or dataset.shape != tuple(s.size for s in scales if s):
-        return stated
-    spacing: list[float | None] = []
-    origin = []
-    for axis in axes:
-        scale = dataset.parent[axis]
-        units = scale.attrs.get("units")
-        if units is None or scale.ndim != 1 or not 1 <= scale.size <= 10**7:
-            return Stated(axes=axes, scale=stated.scale, refractive_index=stated.refractive_index)
-        unit = units.decode() if isinstance(units, bytes) else str(units)
-        positions = np.asarray(scale[()], float)
-        steps = np.diff(positions)
-        if len(steps) and not np.allclose(steps, steps.mean(), rtol=1e-3, atol=0):
-            raise InputError(f"{where}: coordinate {axis} is not evenly spaced")
-        spacing.append(to_mm(steps.mean(), unit, where) if len(steps) else None)
-        origin.append(to_mm(positions[0], unit, where))
-    return Stated(axes, tuple(spacing), tuple(origin), stated.scale, stated.refractive_index)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.ravel()[0]
+    return value.decode(errors="replace") if isinstance(value, bytes) else value
+
+
+def _dims(file: Any, item: Any) -> tuple[str, ...]:
+    """Names of a dataset's axes, empty where an axis has none."""
+    own = item.name.rpartition("/")[2]
+    labels = [str(_plain(label) or "") for label in item.attrs.get("DIMENSION_LABELS", ())]
+    if "DIMENSION_SCALE" in str(_plain(item.attrs.get("CLASS", ""))) and item.ndim == 1:
+        names = [own]
+    else:
+        names = _netcdf_dims(item) or _scale_dims(file, item)
+    if labels and names:
+        for axis, (label, name) in enumerate(zip(labels, names, strict=False)):
+            if label and name and label != name and item.ndim > 1:
+                raise InputError(
+                    f"{file.filename}: {item.name}: axis {axis} is labelled {label!r}, but has the "
+                    f"scale {name!r}"
+                )
+        names = [name or label for name, label in zip(names, labels, strict=False)]
+    names = names or labels
+    return tuple(names) if len(names) == item.ndim and any(names) else ()
+
+
+def _netcdf_dims(item: Any) -> list[str]:
+    """Names of axes by the numbers of netCDF's dimensions.
+
+    Tried before HDF5's lists of references to them: those are of variable length, and a damaged
+    length makes the library loop or take gigabytes.
+    """
+    import h5py
+
+    numbers = np.ravel(item.attrs.get("_Netcdf4Coordinates", ()))
+    if len(numbers) != item.ndim:
+        return []
+    by_number = {}
+    for name in item.parent:
+        if isinstance(item.parent.get(name, getlink=True), h5py.HardLink):
+            scale = item.parent[name]
+            if isinstance(scale, h5py.Dataset) and "_Netcdf4Dimid" in scale.attrs:
+                number = scale.attrs["_Netcdf4Dimid"]
+                if np.shape(number) == () and scale.ndim == 1:
+                    by_number[int(number)] = (name, scale.size)
+    found = [by_number.get(int(number)) for number in numbers]
+    fits = all(f is not None and f[1] == n for f, n in zip(found, item.shape, strict=True))
+    return [f[0] for f in found if f is not None] if fits else []
+
+
+def _scale_dims(file: Any, item: Any) -> list[str]:
+    names = []
+    for references in item.attrs.get("DIMENSION_LIST", ()):
+        scale = file[references[0]] if len(references) else None
+        names.append("" if scale is None else scale.name.rpartition("/")[2])
+    return names

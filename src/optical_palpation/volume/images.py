@@ -7,6 +7,7 @@ Rows are z, columns x; the files follow each other along y in the natural order 
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,14 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from . import tiff
 from .arrays import MAX_BSCAN_BYTES, PagedArray, check_array, nbytes, squeezed
+from .contents import Contents
 from .metadata import Stated
-from .volume import Source
 
 FORMAT = "B-scan images"
 
 _MAGIC = (b"\x89PNG\r\n\x1a\n", b"BM", b"\xff\xd8\xff")
 _SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff")
+_ORIENTATION = 274  # of EXIF
 _PILLOW_FORMATS = ("PNG", "BMP", "JPEG")
 _TYPES = {"L": np.uint8, "I;16": np.uint16, "I;16B": np.uint16, "I": np.int32, "F": np.float32}
 
@@ -32,7 +34,7 @@ def recognises(path: Path, head: bytes) -> bool:
     return path.is_dir() or head.startswith(_MAGIC)
 
 
-def read(path: Path, variable: str | None) -> Source:
+def contents(path: Path, wanted: str | None) -> Contents:
     """Read every image's header; they must agree."""
     files = _images(path) if path.is_dir() else [path]
     if not files:
@@ -47,8 +49,8 @@ def read(path: Path, variable: str | None) -> Source:
             )
     array: Any = PagedArray(lambda i: _pixels(files[i]), dtype, (len(files), *shape))
     if len(files) == 1:
-        return Source(squeezed(array, keep=2), Stated(axes="zx"), "streamed")
-    return Source(array, Stated(axes="yzx"), "streamed")
+        return Contents.single(squeezed(array, keep=2), Stated(axes="zx"), "streamed")
+    return Contents.single(array, Stated(axes="yzx"), "streamed")
 
 
 def _images(folder: Path) -> list[Path]:
@@ -63,7 +65,28 @@ def _images(folder: Path) -> list[Path]:
                     raise InputError(
                         f"{file}: is no image, whatever its name says; empty or damaged?"
                     )
-    return sorted(found, key=_natural)
+    found.sort(key=_natural)
+    _check_sequence(found)
+    return found
+
+
+def _check_sequence(files: list[Path]) -> None:
+    """Refuse numbered files among which one is missing: it would leave a gap along y."""
+    names = [re.split(r"([0-9]+)", file.name) for file in files]
+    columns = list(zip(*names, strict=False))
+    varying = [column for column in columns if len(set(column)) > 1]
+    if len({len(name) for name in names}) != 1 or len(varying) != 1:
+        return
+    if not all(part.isdecimal() for part in varying[0]):
+        return
+    numbers = [int(part) for part in varying[0]]
+    steps = [b - a for a, b in pairwise(numbers)]
+    for (before, after), step in zip(pairwise(files), steps, strict=True):
+        if step != min(steps):
+            raise InputError(
+                f"{before.parent}: {before.name} is followed by {after.name}; a B-scan is missing "
+                "between them, or a file of another series is among them"
+            )
 
 
 def _natural(file: Path) -> list[tuple[int, int, str]]:
@@ -82,6 +105,11 @@ def _header(file: Path) -> tuple[tuple[int, int], np.dtype[Any]]:
         with _open_image(file) as image:
             if image.mode not in _TYPES:
                 raise InputError(f"{file}: is a colour image ({image.mode}); save it in grey")
+            if (orientation := image.getexif().get(_ORIENTATION, 1)) != 1:
+                raise InputError(
+                    f"{file}: its orientation tag says {orientation}, that it lies on its side or "
+                    "is mirrored, which most software overlooks: save it upright"
+                )
             shape, dtype = (image.height, image.width), np.dtype(_TYPES[image.mode])
     check_array(shape, dtype, str(file))
     if nbytes(shape, dtype) > MAX_BSCAN_BYTES:
@@ -106,8 +134,8 @@ def _is_tiff(file: Path) -> bool:
 
 
 def _open_tiff(file: Path) -> tuple[Any, Any]:
-    source = tiff.read(file, None)
-    return source.array, source.close
+    found = tiff.contents(file, None)
+    return found.variables[""].open(), found.close
 
 
 def _open_image(file: Path) -> Any:

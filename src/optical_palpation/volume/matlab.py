@@ -8,6 +8,7 @@ HDF5, are not.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,57 +16,106 @@ import numpy as np
 
 from ..errors import InputError
 from . import hdf5, matlab_v5
-from .arrays import FileArray, reversed_axes
-from .metadata import Access, described
-from .numpy_files import pick
-from .volume import Source
+from .arrays import Array, reversed_axes
+from .contents import Contents, Variable
+from .metadata import DESCRIPTIONS, described
+from .units import is_unit_key
 
 FORMAT = "MATLAB .mat"
 
-_DESCRIPTIONS = ("axes", "spacing_mm", "origin_mm", "scale", "refractive_index")
 _ALL = (slice(None),) * 32
 
 
 def recognises(path: Path, head: bytes) -> bool:
     """Tell by the text at the start and the byte-order mark at byte 126."""
-    return head.startswith(b"MATLAB ") and head[126:128] in (b"IM", b"MI")
+    return head.startswith(b"MATLAB ") and (
+        head[126:128] in (b"IM", b"MI") or hdf5.recognises(path, head)
+    )
 
 
-def read(path: Path, variable: str | None) -> Source:
-    """Find the array and its description."""
+def contents(path: Path, wanted: str | None) -> Contents:
+    """Find the arrays, and the short texts and numbers beside them."""
     with path.open("rb") as stream:
-        is_v73 = stream.read(10) == b"MATLAB 7.3"
-    return _read_v73(path, variable) if is_v73 else _read_v5(path, variable)
+        head = stream.read(4096)
+    return _v73(path) if hdf5.recognises(path, head) else _v5(path)
 
 
-def _read_v73(path: Path, variable: str | None) -> Source:
-    import h5py
-
+def _v73(path: Path) -> Contents:
     file = hdf5.open_file(path)
     try:
+        found: dict[str, Variable] = {}
         stated: dict[str, Any] = {}
-        for name in _DESCRIPTIONS:
-            item = file.get(name) if file.get(name, getlink=True) is not None else None
-            if isinstance(item, h5py.Dataset) and item.size is not None and item.size <= 100:
+        texts: dict[str, str] = {}
+        for name, item in hdf5.datasets(path, file):
+            matlab_class = item.attrs.get("MATLAB_class", b"")
+            text = matlab_class == b"char" or (name in DESCRIPTIONS and item.dtype == np.uint16)
+            if name.startswith("#") or matlab_class in (b"cell", b"function_handle"):
+                continue
+            if item.size <= 100 and (name in DESCRIPTIONS or (text and is_unit_key(name))):
                 value = item[()]
-                text = item.dtype == np.uint16  # MATLAB's char
-                stated[name] = "".join(map(chr, np.ravel(value))) if text else value
-        dataset = hdf5.find_dataset(path, file, variable)
-        array = reversed_axes(hdf5.dataset_array(path, dataset))
-        access: Access = "streamed" if dataset.chunks else "mapped"
-        return Source(array, described(stated, str(path)), access, file.close)
+                if text:  # UTF-16, down the columns
+                    value = texts[name] = "".join(map(chr, np.ravel(value)))
+                if name in DESCRIPTIONS:
+                    stated[name] = value
+            elif (
+                not text
+                and name not in DESCRIPTIONS
+                and (item.dtype.kind in "biufc" or item.dtype.names)
+            ):
+                found[name] = _v73_variable(path, item, matlab_class)
+        facts = described(stated, str(path))
+        found = {n: Variable(**vars(v) | {"stated": facts}) for n, v in found.items()}
+        return Contents(found, file.close, texts)
     except BaseException:
         file.close()
         raise
 
 
-def _read_v5(path: Path, variable: str | None) -> Source:
+def _v73_variable(path: Path, item: Any, matlab_class: bytes) -> Variable:
+    shape, dtype = item.shape[::-1], item.dtype
+    if "MATLAB_empty" in item.attrs:  # holds its shape
+        shape = (0, 0)
+    elif hdf5.is_complex_pair(dtype):
+        dtype = np.dtype(np.complex128)
+    elif matlab_class == b"logical":
+        dtype = np.dtype(bool)
+
+    def opened() -> Array:
+        return reversed_axes(hdf5.stored_array(path, item))
+
+    return Variable(shape, dtype, opened, "streamed" if item.chunks else "mapped")
+
+
+def _v5(path: Path) -> Contents:
     found = matlab_v5.variables(path)
-    texts = {n: matlab_v5.load(path, found[n]) for n in _DESCRIPTIONS if n in found}
-    stated = {n: t if isinstance(t, str) else t[_ALL[: len(t.shape)]] for n, t in texts.items()}
-    arrays = {n: v.shape for n, v in found.items() if n not in _DESCRIPTIONS}
-    array = matlab_v5.load(path, found[pick(path, arrays, variable, list(found))])
-    if isinstance(array, str):
-        raise InputError(f"{path}: {variable} is text, not an array")
-    mapped = isinstance(array, FileArray)
-    return Source(array, described(stated, str(path)), "mapped" if mapped else "loaded")
+    stated: dict[str, Any] = {}
+    texts: dict[str, str] = {}
+    for name, header in found.items():
+        if name in DESCRIPTIONS or (header.dtype is None and is_unit_key(name)):
+            value = matlab_v5.load(path, header)
+            if isinstance(value, str):
+                texts[name] = value
+            if name in DESCRIPTIONS:
+                stated[name] = value if isinstance(value, str) else value[_ALL[: len(value.shape)]]
+    facts = described(stated, str(path))
+
+    def opened(header: matlab_v5.Variable) -> Array:
+        array = matlab_v5.load(path, header)
+        if isinstance(array, str):
+            raise InputError(f"{path}: {header.name} is text, not an array")
+        return array
+
+    return Contents(
+        {
+            name: Variable(
+                header.shape,
+                header.dtype,
+                partial(opened, header),
+                None,  # its data element tells
+                stated=facts,
+            )
+            for name, header in found.items()
+            if header.dtype is not None and name not in DESCRIPTIONS
+        },
+        texts=texts,
+    )

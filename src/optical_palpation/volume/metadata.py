@@ -20,19 +20,13 @@ from ..errors import InputError
 Scale = Literal["linear", "dB"]
 Access = Literal["mapped", "streamed", "loaded"]
 
-_MM = {
-    "m": 1e3,
-    "meter": 1e3,
-    "cm": 10.0,
-    "mm": 1.0,
-    "millimeter": 1.0,
-    "um": 1e-3,
-    "micron": 1e-3,
-    "microns": 1e-3,
-    "micrometer": 1e-3,
-    "nm": 1e-6,
-    "nanometer": 1e-6,
-}
+# mm: from less than a coherence length to more than any range or scanning lens.
+_EXTENT = (1e-3, 200.0)
+# Largest ratio of lateral to axial spacing, either way; 1000 is that of um to mm.
+_ANISOTROPY = 500.0
+
+#: Entries by which array formats can describe their array.
+DESCRIPTIONS = ("axes", "spacing_mm", "origin_mm", "scale", "refractive_index")
 
 
 class ZYX(NamedTuple):
@@ -104,19 +98,6 @@ class Stated:
     scale: Scale | None = None
     refractive_index: float | None = None
     optical_depth: bool = False
-
-
-def to_mm(value: float, unit: str, where: str) -> float:
-    """Convert a length to mm."""
-    key = (
-        unit.strip().lower().replace("\u00b5", "u").replace("\u03bc", "u").replace("metre", "meter")
-    )
-    try:
-        return float(value) * _MM[key.replace("\\u00b5", "u")]
-    except KeyError:
-        raise InputError(
-            f"{where}: unknown unit of length {unit!r}; known: {sorted(_MM)}"
-        ) from None
 
 
 def described(entries: Mapping[str, Any], where: str) -> Stated:
@@ -214,10 +195,11 @@ def settle(
             raise InputError(
                 f"{path}: spacing along {axis} is {value!r} mm; it must lie between 1e-7 and 100 mm"
             )
+    lengths = dict(zip(order, shape, strict=True))
+    _check_extents({a: steps[a] for a in needed}, lengths, path)
     for axis, value in starts.items():
         if not (math.isfinite(value) and abs(value) <= 1e5):
             raise InputError(f"{path}: origin along {axis} is {value!r} mm")
-    lengths = dict(zip(order, shape, strict=True))
     return VolumeMetadata(
         shape=(lengths["z"], lengths.get("y", 1), lengths["x"]),
         axes=order,
@@ -230,6 +212,24 @@ def settle(
         format=fmt,
         access=access,
     )
+
+
+def _check_extents(steps: dict[str, float], lengths: dict[str, int], path: Path) -> None:
+    """Refuse spacings with which the volume would be larger or flatter than OCT can image."""
+    for axis, step in steps.items():
+        n = lengths[axis]
+        if n > 1 and not _EXTENT[0] <= n * step <= _EXTENT[1]:
+            raise InputError(
+                f"{path}: {n} samples {step:g} mm apart along {axis} make {n * step:g} mm, which "
+                "no OCT volume is; is the spacing in another unit? It must be in mm"
+            )
+    for axis in steps:
+        ratio = steps[axis] / steps["z"]
+        if not 1.0 / _ANISOTROPY <= ratio <= _ANISOTROPY:
+            raise InputError(
+                f"{path}: the spacing along {axis} is {ratio:.3g} times that along z; are they in "
+                "different units? Both must be in mm"
+            )
 
 
 def parse_xml(data: bytes, where: str) -> ElementTree.Element:

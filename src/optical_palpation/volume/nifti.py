@@ -1,7 +1,8 @@
 """NIfTI-1 and NIfTI-2 files (``.nii``, ``.nii.gz``); needs nibabel.
 
-The three axes are called x, y, z in the order of the format unless the user says otherwise. Voxel
-sizes are believed only where the header names their unit.
+The three axes are called x, y, z in the order of the format unless the user says otherwise; where
+the header's transform swaps them or turns z around, the user has to say. Voxel sizes are believed
+only where the header names their unit.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ import numpy as np
 from ..errors import InputError
 from .archive import check_ratio
 from .arrays import MAX_LOADED_BYTES, LazyArray, check_array, nbytes, squeezed
+from .contents import Contents
 from .metadata import Stated
-from .volume import Source
 
 FORMAT = "NIfTI"
 
@@ -38,7 +39,7 @@ def recognises(path: Path, head: bytes) -> bool:
     ) or (size in (struct.pack("<i", 540), struct.pack(">i", 540)) and head[4:7] == b"n+2")
 
 
-def read(path: Path, variable: str | None) -> Source:
+def contents(path: Path, wanted: str | None) -> Contents:
     """Read the header."""
     try:
         import nibabel
@@ -78,7 +79,12 @@ def read(path: Path, variable: str | None) -> Source:
     scaled = proxy.slope != 1 or proxy.inter != 0
     data = np.asanyarray(proxy) if compressed else _Scaled(proxy, dtype, scaled)
     array = squeezed(LazyArray(data, None if compressed else (*shape[:-1], 1)))
-    return Source(array, _stated(header, array.shape), "loaded" if compressed else "mapped")
+    return Contents.single(
+        array,
+        _stated(header, array.shape),
+        "loaded" if compressed else "mapped",
+        dims=tuple("xyz"[: len(array.shape)]),
+    )
 
 
 class _Scaled:
@@ -94,9 +100,23 @@ class _Scaled:
 
 
 def _stated(header: Any, shape: tuple[int, ...]) -> Stated:
-    axes = "xyz"[: len(shape)] if len(shape) == 3 else None
+    axes = "xyz" if len(shape) == 3 and _is_upright(header) else None
     unit = header.get_xyzt_units()[0]
     factor = {"mm": 1.0, "meter": 1e3, "micron": 1e-3}.get(unit)
-    if factor is None or len(shape) != 3:
+    if factor is None:
         return Stated(axes=axes)
-    return Stated(axes=axes, spacing=tuple(float(step) * factor for step in header.get_zooms()[:3]))
+    zooms = header.get_zooms()[: len(shape)]
+    return Stated(axes=axes, spacing=tuple(float(step) * factor for step in zooms))
+
+
+def _is_upright(header: Any) -> bool:
+    """Tell whether the transform to world coordinates keeps the axes, and the direction of z.
+
+    Mirrored lateral axes are left: ITK writes them into every file.
+    """
+    import nibabel
+
+    if not (header["qform_code"] > 0 or header["sform_code"] > 0):
+        return True
+    orientation = nibabel.orientations.io_orientation(header.get_best_affine())
+    return bool(np.array_equal(orientation[:, 0], [0, 1, 2]) and orientation[2, 1] == 1)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import zipfile
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -11,13 +13,12 @@ from numpy.lib import format as npy
 
 from ..errors import InputError
 from .archive import member_array, open_archive, open_member, read_small
-from .arrays import FileArray, check_array
-from .metadata import Stated, described
-from .volume import Source
+from .arrays import Array, FileArray
+from .contents import Contents, Variable
+from .metadata import DESCRIPTIONS, described
+from .units import is_unit_key
 
 FORMAT = "NumPy .npy/.npz"
-
-_DESCRIPTIONS = ("axes", "spacing_mm", "origin_mm", "scale", "refractive_index")
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -28,13 +29,13 @@ def recognises(path: Path, head: bytes) -> bool:
     return head.startswith(npy.MAGIC_PREFIX)
 
 
-def read(path: Path, variable: str | None) -> Source:
-    """Read the header; in an ``.npz`` find the array, and what its other entries say about it."""
+def contents(path: Path, wanted: str | None) -> Contents:
+    """Read the headers, and the short texts and numbers beside the arrays of an ``.npz``."""
     if _is_npy(path):
         with path.open("rb") as stream:
             shape, order, dtype, offset = header(stream, str(path))
-        check_array(shape, dtype, str(path))
-        return Source(FileArray(path, dtype, shape, offset, order=order), Stated(), "mapped")
+        whole = partial(FileArray, path, dtype, shape, offset, order=order)
+        return Contents({"": Variable(shape, dtype, whole)})
 
     archive = open_archive(path)
     try:
@@ -43,48 +44,44 @@ def read(path: Path, variable: str | None) -> Source:
             for m in archive.infolist()
             if m.filename.endswith(".npy")
         }
-        stated = {}
-        for name in _DESCRIPTIONS:
-            if name in members:
-                data = io.BytesIO(read_small(archive, members[name], 2**16))
-                stated[name] = np.load(data, allow_pickle=False)
+        stated: dict[str, Any] = {}
+        texts: dict[str, str] = {}
         headers = {}
-        for name in [variable] if variable in members else members:
-            if name not in _DESCRIPTIONS:
-                with open_member(archive, members[name]) as stream:
-                    headers[name] = header(stream, f"{path}: {name}")
-        name = pick(path, {n: h[0] for n, h in headers.items()}, variable, list(members))
-        shape, order, dtype, offset = headers[name]
-        array, access = member_array(archive, members[name], dtype, shape, skip=offset, order=order)
-        return Source(
-            array,
-            described(stated, str(path)),
-            access,
-            archive.close,
-        )
+        for name, member in members.items():
+            with open_member(archive, member) as content:
+                shape, order, dtype, offset = header(content, f"{path}: {name}")
+            if name in DESCRIPTIONS:
+                data = io.BytesIO(read_small(archive, member, 2**16))
+                stated[name] = np.load(data, allow_pickle=False)
+            elif is_unit_key(name) and dtype.kind in "US" and shape in ((), (1,)):
+                data = io.BytesIO(read_small(archive, member, 2**16))
+                texts[name] = _text(np.load(data, allow_pickle=False))
+            elif not dtype.hasobject:  # notes beside the array; never unpickled
+                headers[name] = shape, order, dtype, offset
+        facts = described(stated, str(path))
+
+        def variable(name: str) -> Variable:
+            shape, order, dtype, offset = headers[name]
+            stored = members[name].compress_type == zipfile.ZIP_STORED
+
+            def opened() -> Array:
+                return member_array(archive, members[name], dtype, shape, skip=offset, order=order)
+
+            access = "mapped" if stored else "streamed"
+            return Variable(shape, dtype, opened, access, stated=facts)  # type: ignore[arg-type]
+
+        return Contents({name: variable(name) for name in headers}, archive.close, texts)
     except BaseException:
         archive.close()
         raise
 
 
-def pick(
-    path: Path, shapes: dict[str, tuple[int, ...]], variable: str | None, names: list[str]
-) -> str:
-    """Choose the array that the user names, or the only one with three axes (else with two)."""
-    if variable is not None:
-        if variable not in shapes:
-            raise InputError(f"{path}: no array {variable!r}; it holds {', '.join(names[:20])}")
-        return variable
-    for axes in (3, 2):
-        found = [name for name, shape in shapes.items() if len(shape) == axes and min(shape) > 1]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise InputError(
-                f"{path}: holds several arrays; choose one with variable=: {', '.join(found[:20])}"
-            )
-    inside = ", ".join(f"{name} {shape}" for name, shape in list(shapes.items())[:20])
-    raise InputError(f"{path}: no array with three axes; it holds {inside or 'none'}")
+def _text(value: Any) -> str:
+    """Text of an array of one, without characters that are none."""
+    if value.dtype.kind == "S":
+        return value.tobytes().decode(errors="replace").strip("\0 ")
+    order = "-be" if value.dtype.str[0] == ">" else "-le"
+    return value.tobytes().decode("utf-32" + order, errors="replace").strip("\0 ")
 
 
 def _is_npy(path: Path) -> bool:

@@ -1,44 +1,47 @@
-"""Opening a volume of any known format, found out from its content."""
+"""Opening a file of any known format, found out from its content."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
 
 from ..errors import InputError
-from . import dicom, hdf5, images, matlab, nifti, numpy_files, raw, thorlabs, tiff, zarr_store
-from .volume import Source, Volume, translated_errors
+from . import (
+    dicom,
+    hdf5,
+    images,
+    matlab,
+    netcdf3,
+    nifti,
+    numpy_files,
+    raw,
+    text,
+    thorlabs,
+    tiff,
+    zarr_store,
+)
+from .contents import Contents, Reader, translated_errors
+from .volume import Volume, chosen
 
 _HEAD_BYTES = 4096
 
-
-class Reader(Protocol):
-    """What the module of a format offers."""
-
-    FORMAT: str
-
-    def recognises(self, path: Path, head: bytes) -> bool:
-        """Tell whether a file, by its first bytes, or a folder (no bytes) is of this format."""
-
-    def read(self, path: Path, variable: str | None) -> Source:
-        """Read the header and hand over the array, unread."""
-
-
-# Raw files have no mark of their own: they come last.
+#: Formats of volumes. Raw files have no mark of their own: they come last.
 READERS: tuple[Reader, ...] = (
     thorlabs,
     numpy_files,
     tiff,
     matlab,
     hdf5,
+    netcdf3,
     nifti,
     dicom,
     zarr_store,
     images,
     raw,
 )
+#: Those of maps: text has no mark either.
+MAP_READERS: tuple[Reader, ...] = (*READERS, text)
 
 
 def open_volume(
@@ -50,6 +53,7 @@ def open_volume(
     scale: str | None = None,
     refractive_index: float | None = None,
     origin: Mapping[str, float] | None = None,
+    untrusted: bool = False,
 ) -> Volume:
     """Open an OCT volume; its samples stay on disk until B-scans are asked for.
 
@@ -77,11 +81,15 @@ def open_volume(
         where the stored depth is physical.
     origin
         Position of the first sample in mm by axis; 0 where neither file nor user says more.
+    untrusted
+        Let a process of its own, under limits, go through an HDF5 file before it is opened here,
+        because the HDF5 library can crash or never end on one that was damaged on purpose.
 
     Returns
     -------
     Volume
         With ``metadata``, ``bscan(y)``, iteration over B-scans, ``to_xarray()`` and ``close()``.
+        Samples that the file marks as missing are NaN.
 
     Raises
     ------
@@ -96,18 +104,38 @@ def open_volume(
         "origin": origin,
     }
     path = Path(path)
-    head = _head(path)
-    for reader in READERS:
+    reader, contents = open_contents(path, variable, untrusted=untrusted)
+    try:
         with translated_errors(path, reader.FORMAT):
-            if not reader.recognises(path, head):
-                continue
-            source = reader.read(path, variable)
-        try:
-            return Volume(source, path, reader.FORMAT, **given)
-        except BaseException:
-            source.close()
-            raise
-    known = ", ".join(reader.FORMAT for reader in READERS)
+            found = chosen(path, contents, variable)
+            return Volume(found, path, reader.FORMAT, contents.close, **given)
+    except BaseException:
+        contents.close()
+        raise
+
+
+def open_contents(
+    path: Path,
+    wanted: str | None = None,
+    *,
+    readers: Sequence[Reader] = READERS,
+    untrusted: bool = False,
+) -> tuple[Reader, Contents]:
+    """Find the reader of a file, and what the file holds; the caller closes it.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, empty, unreadable, damaged or of an unknown format.
+    """
+    head = _head(path)
+    if untrusted and hdf5.recognises(path, head):
+        hdf5.try_out(path)
+    for reader in readers:
+        with translated_errors(path, reader.FORMAT):
+            if reader.recognises(path, head):
+                return reader, reader.contents(path, wanted)
+    known = ", ".join(reader.FORMAT for reader in readers)
     raise InputError(
         f"{path}: unknown format; its first bytes are {head[:16]!r}. Known: {known}. A raw file "
         f"needs a sidecar {path.name}.toml or {path.name}.json that describes it"
@@ -122,7 +150,11 @@ def _head(path: Path) -> bytes:
             raise InputError(f"{path}: is neither a file nor a folder")
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; it cannot be opened") from None
     except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
         raise InputError(f"{path}: cannot be opened ({error})") from error
     if not head:
         raise InputError(f"{path}: is empty")

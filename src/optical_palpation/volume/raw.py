@@ -17,8 +17,8 @@ import numpy as np
 
 from ..errors import InputError
 from .arrays import FileArray, check_array, nbytes
+from .contents import Contents
 from .metadata import described
-from .volume import Source
 
 FORMAT = "raw binary with sidecar"
 
@@ -44,7 +44,7 @@ def recognises(path: Path, head: bytes) -> bool:
     return bool(head) and _sidecar(path) is not None
 
 
-def read(path: Path, variable: str | None) -> Source:
+def contents(path: Path, wanted: str | None) -> Contents:
     """Read the sidecar."""
     sidecar = _sidecar(path)
     assert sidecar is not None  # recognises() saw it
@@ -69,7 +69,7 @@ def read(path: Path, variable: str | None) -> Source:
     array = FileArray(path, dtype, tuple(shape), offset)
     if (extra := path.stat().st_size - offset - nbytes(tuple(shape), dtype)) != 0:
         raise InputError(f"{path}: {extra} bytes more than {sidecar.name} describes")
-    return Source(array, described(entries, str(sidecar)), "mapped")
+    return Contents.single(array, described(entries, str(sidecar)), "mapped")
 
 
 def _sidecar(path: Path) -> Path | None:

@@ -16,8 +16,9 @@ import numpy as np
 
 from ..errors import InputError
 from .archive import find_member, member_array, open_archive, plain_name, read_small
-from .metadata import Stated, parse_xml
-from .volume import Source
+from .arrays import check_array
+from .contents import Contents, Variable
+from .metadata import Access, Stated, parse_xml
 
 FORMAT = "Thorlabs .oct"
 
@@ -32,17 +33,17 @@ def recognises(path: Path, head: bytes) -> bool:
         return find_member(archive, "Header.xml") is not None
 
 
-def read(path: Path, variable: str | None) -> Source:
-    """Read the header and find ``Intensity.data``, or the real-valued member ``variable`` names."""
+def contents(path: Path, wanted: str | None) -> Contents:
+    """Read the header and find ``Intensity.data``, or the real-valued member that is `wanted`."""
     archive = open_archive(path)
     try:
-        return _read(path, archive, variable or "Intensity")
+        return _read(path, archive, wanted or "Intensity")
     except BaseException:
         archive.close()
         raise
 
 
-def _read(path: Path, archive: zipfile.ZipFile, variable: str) -> Source:
+def _read(path: Path, archive: zipfile.ZipFile, variable: str) -> Contents:
     member = find_member(archive, "Header.xml")
     assert member is not None  # recognises() saw it
     root = parse_xml(read_small(archive, member, _MAX_HEADER_BYTES), f"{path}: Header.xml")
@@ -64,15 +65,14 @@ def _read(path: Path, archive: zipfile.ZipFile, variable: str) -> Source:
         inside = ", ".join(plain_name(m) for m in archive.namelist()[:10])
         raise InputError(f"{path}: Header.xml lists {name!r}, but the archive holds only {inside}")
     shape = [sizes[a] for a in ("YXZ" if sizes["Y"] > 1 else "XZ")]
-    array, access = member_array(archive, data, np.dtype("<f4"), shape)
+    check_array(tuple(shape), np.dtype("<f4"), f"{path}: {name}")
+    array = member_array(archive, data, np.dtype("<f4"), shape)
     order = "yxz" if len(shape) == 3 else "xz"
     spacing = tuple(_spacing(path, entry, a, sizes[a]) for a in order.upper())
-    return Source(
-        array,
-        Stated(axes=order, spacing=spacing, scale="dB", optical_depth=True),
-        access,
-        archive.close,
-    )
+    access: Access = "mapped" if data.compress_type == zipfile.ZIP_STORED else "streamed"
+    stated = Stated(axes=order, spacing=spacing, scale="dB", optical_depth=True)
+    found = Variable(array.shape, array.dtype, lambda: array, access, stated=stated)
+    return Contents({variable: found}, archive.close)
 
 
 def _entry(path: Path, files: list[Element], variable: str) -> Element:

@@ -8,7 +8,10 @@ more often hold a printer's 72 dpi.
 
 from __future__ import annotations
 
+import logging
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -17,9 +20,11 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .archive import check_ratio
-from .arrays import MAX_BSCAN_BYTES, FileArray, PagedArray, check_array, nbytes
-from .metadata import Stated, parse_xml, to_mm
-from .volume import Source
+from .arrays import MAX_BSCAN_BYTES, FileArray, PagedArray, check_array, nbytes, squeezed
+from .cf import Decoded
+from .contents import Contents
+from .metadata import Stated, parse_xml
+from .units import length_unit, to_mm
 
 FORMAT = "TIFF"
 
@@ -38,18 +43,30 @@ def recognises(path: Path, head: bytes) -> bool:
     return head[:4] in MAGIC
 
 
-def read(path: Path, variable: str | None) -> Source:
+def contents(path: Path, wanted: str | None) -> Contents:
     """Read the page directories."""
     import tifffile
 
     _check_directories(path)
     ignored: dict[str, Any] = {f"is_{vendor}": False for vendor in _VENDORS}
-    file = tifffile.TiffFile(path, **ignored)
+    with _tifffile_silent():
+        file = tifffile.TiffFile(path, **ignored)
+        try:
+            return _contents(path, file)
+        except BaseException:
+            file.close()
+            raise
+
+
+@contextmanager
+def _tifffile_silent() -> Iterator[None]:
+    """Keep tifffile from reporting damage in the log as well."""
+    log = logging.getLogger("tifffile")
+    disabled, log.disabled = log.disabled, True
     try:
-        return _read(path, file)
-    except BaseException:
-        file.close()
-        raise
+        yield
+    finally:
+        log.disabled = disabled
 
 
 def _check_directories(path: Path) -> None:
@@ -102,6 +119,13 @@ def page_array(path: Path, file: Any) -> Any:
         raise InputError(f"{path}: colour images; save the OCT signal in grey")
     if page.photometric == 0:
         raise InputError(f"{path}: inverted grey (0 is white); save it with 0 as black")
+    orientation = _tag(page, "Orientation", 1)
+    if orientation != 1:
+        raise InputError(
+            f"{path}: its orientation tag says {orientation}, that rows or columns run from "
+            "another corner than the top left, which most software overlooks: turn the image as it "
+            "should be and save it with orientation 1"
+        )
     if page.compression == _LZW and page.fillorder != 1:
         raise InputError(f"{path}: LZW with reversed bits; save it uncompressed or with deflate")
     check_array(shape, dtype, str(path))
@@ -120,10 +144,11 @@ def page_array(path: Path, file: Any) -> Any:
     def read_page(index: int) -> NDArray[Any]:
         if page.compression == _LZW:
             _check_lzw(path, index, series.pages[index])
-        return np.asarray(series.pages[index].asarray(maxworkers=1))
+        with _tifffile_silent():
+            return np.asarray(series.pages[index].asarray(maxworkers=1))
 
     array: Any = PagedArray(read_page, dtype, (pages, rows, columns))
-    return array
+    return squeezed(array, keep=2) if len(shape) == 2 else array
 
 
 def _check_segments(path: Path, number: int, single: Any, keyframe: Any) -> None:
@@ -151,7 +176,7 @@ def _check_lzw(path: Path, number: int, page: Any) -> None:
                 raise InputError(f"{path}: the LZW stream of page {number} is damaged")
 
 
-def _read(path: Path, file: Any) -> Source:
+def _contents(path: Path, file: Any) -> Contents:
     array = page_array(path, file)
     page = file.pages[0]
     stack = len(array.shape) == 3
@@ -162,7 +187,34 @@ def _read(path: Path, file: Any) -> Source:
     elif file.is_imagej:
         stated = _imagej(file.imagej_metadata or {}, page, stack, str(path))
     mapped = isinstance(array, FileArray)
-    return Source(array, stated, "mapped" if mapped else "streamed", file.close)
+    array = _without_nodata(path, page, array)
+    return Contents.single(array, stated, "mapped" if mapped else "streamed", file.close)
+
+
+def _without_nodata(path: Path, page: Any, array: Any) -> Any:
+    """The array with NaN for the value that GDAL's tag calls missing."""
+    metadata = str(_tag(page, "GDAL_METADATA", ""))
+    for item in (
+        parse_xml(metadata.encode(), f"{path}: GDAL metadata").iter("Item") if metadata else ()
+    ):
+        if item.get("role") in ("scale", "offset"):
+            raise InputError(
+                f"{path}: its GDAL metadata state a {item.get('role')} of {item.text}; save the "
+                "values themselves"
+            )
+    text = str(_tag(page, "GDAL_NODATA", "")).strip("\0 ")
+    if not text or text.lower() == "nan":
+        return array
+    try:
+        value = float(text)
+    except ValueError:
+        raise InputError(f"{path}: GDAL_NODATA is {text!r}, no number") from None
+    dims = [f"axis {number}" for number in range(len(array.shape))]
+    return Decoded(array, dims, {}, fills=[value], where=str(path))
+
+
+def _tag(page: Any, name: str, default: Any) -> Any:
+    return page.tags[name].value if name in page.tags else default
 
 
 def _ome(description: str, shape: tuple[int, ...], path: str) -> Stated:
@@ -188,7 +240,7 @@ def _ome(description: str, shape: tuple[int, ...], path: str) -> Stated:
 def _imagej(metadata: dict[str, Any], page: Any, stack: bool, path: str) -> Stated:
     axes = "yzx" if stack else "zx"
     unit = metadata.get("unit")
-    if not isinstance(unit, str) or unit.lower() in ("pixel", "inch"):
+    if not isinstance(unit, str) or length_unit(unit) is None:
         return Stated(axes=axes)
 
     def step(tag: str) -> float | None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -20,21 +19,22 @@ from xarray.core import indexing
 from optical_palpation.files import readable_name
 
 from ..errors import InputError
-from .arrays import MAX_BSCAN_BYTES, MAX_LOADED_BYTES, Array, LazyArray, check_array, nbytes
-from .metadata import Access, Stated, VolumeMetadata, settle
+from .arrays import (
+    MAX_BSCAN_BYTES,
+    MAX_LOADED_BYTES,
+    Array,
+    FileArray,
+    LazyArray,
+    check_array,
+    nbytes,
+)
+from .contents import Contents, Variable, translated_errors
+from .labels import coordinate
+from .metadata import VolumeMetadata, settle
+from .units import MM, split_unit
 
 # What is read at once where B-scans cut across the order of the file.
 _SLAB_BYTES = 64 * 2**20
-
-
-@dataclass
-class Source:
-    """What a reader hands over: an array on disk and what the file says about it."""
-
-    array: Array
-    stated: Stated
-    access: Access
-    close: Callable[[], None] = lambda: None
 
 
 class Volume:
@@ -44,18 +44,23 @@ class Volume:
     several threads at once.
     """
 
-    def __init__(self, source: Source, path: Path, fmt: str, **given: Any) -> None:
-        array = source.array
-        check_array(array.shape, array.dtype, str(path))
-        self._close = source.close
+    def __init__(
+        self, variable: Variable, path: Path, fmt: str, close: Callable[[], None], **given: Any
+    ) -> None:
+        check_array(variable.shape, variable.dtype, str(path))
+        array = variable.open()
+        self._close = close
+        access = variable.access
+        if access is None:
+            access = "mapped" if isinstance(array, FileArray) else "loaded"
         # Settled twice: the axes decide whether the pages are B-scans.
         metadata = settle(
-            source.stated,
+            variable.stated,
             shape=array.shape,
             dtype=array.dtype.str,
             path=path,
             fmt=fmt,
-            access=source.access,
+            access=access,
             **given,
         )
         nz, _, nx = metadata.shape
@@ -229,18 +234,52 @@ class _Backend(BackendArray):
         return self._volume._read(*whole)[tuple(inner)]
 
 
-@contextmanager
-def translated_errors(path: Path, fmt: str) -> Iterator[None]:
-    """Turn whatever a format's library raises on a damaged file into an InputError."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:  # parsers raise anything on damaged input
-        detail = f"{type(error).__name__}: {error}"[:300]
-        raise InputError(
-            f"{path}: cannot be read as {fmt}; damaged or unsupported ({detail})"
-        ) from error
+def chosen(path: Path, contents: Contents, name: str | None) -> Variable:
+    """Choose the array that the user names, or the only one with three axes (else with two).
+
+    Where the file names its axes z, y and x, they and their coordinates describe it.
+    """
+    name = name.strip("/") if name is not None else None
+    variables = contents.variables
+    if name is not None and list(variables) != [""]:
+        if name not in variables:
+            raise InputError(
+                f"{path}: no array {name!r}; it holds {', '.join(list(variables)[:20]) or 'none'}"
+            )
+        return _described(path, contents, name)
+    for axes in (3, 2):
+        found = [n for n, v in variables.items() if len(v.shape) == axes and min(v.shape) > 1]
+        if len(found) == 1:
+            return _described(path, contents, found[0])
+        if found:
+            raise InputError(
+                f"{path}: holds several arrays; choose one with variable=: {', '.join(found[:20])}"
+            )
+    if len(variables) == 1:
+        return next(iter(variables.values()))
+    inside = ", ".join(f"{name} {v.shape}" for name, v in list(variables.items())[:20])
+    raise InputError(f"{path}: no array with three axes; it holds {inside or 'none'}")
+
+
+def _described(path: Path, contents: Contents, name: str) -> Variable:
+    variable = contents.variables[name]
+    axes = "".join(split_unit(dim)[0].lower() for dim in variable.dims)
+    stated = variable.stated
+    if sorted(axes) != ["x", "y", "z"] or stated.axes is not None or stated.spacing is not None:
+        return variable
+    spacing: list[float | None] = []
+    origin = []
+    for axis, n in zip(axes, variable.shape, strict=True):
+        found = coordinate(path, contents, name, axis)
+        if found is None or found.unit is None or found.values.shape != (n,):
+            return replace(variable, stated=replace(stated, axes=axes))
+        steps = np.diff(found.values) * MM[found.unit]
+        if len(steps) and not np.allclose(steps, steps.mean(), rtol=1e-3, atol=0):
+            raise InputError(f"{path}, variable {name}: coordinate {axis} is not evenly spaced")
+        spacing.append(steps.mean() if len(steps) else None)
+        origin.append(found.values[0] * MM[found.unit])
+    stated = replace(stated, axes=axes, spacing=tuple(spacing), origin=tuple(origin))
+    return replace(variable, stated=stated)
 
 
 def _loaded(array: Array, path: Path) -> Array:

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from .arrays import MAX_BSCAN_BYTES, LazyArray, check_array, nbytes, squeezed
-from .metadata import Stated, described, to_mm
-from .numpy_files import pick
-from .volume import Source
+from .arrays import MAX_BSCAN_BYTES, Array, LazyArray, nbytes, squeezed, squeezed_axes
+from .cf import Decoded
+from .contents import Contents, Variable
+from .metadata import DESCRIPTIONS, Stated, described
+from .units import to_mm
 
 FORMAT = "Zarr"
 
@@ -35,8 +36,8 @@ def recognises(path: Path, head: bytes) -> bool:
     return path.is_dir() and any((path / mark).is_file() for mark in _MARKS)
 
 
-def read(path: Path, variable: str | None) -> Source:
-    """Find the array and what its attributes say."""
+def contents(path: Path, wanted: str | None) -> Contents:
+    """Find the arrays and what their attributes say."""
     try:
         import zarr
     except ImportError:
@@ -48,29 +49,47 @@ def read(path: Path, variable: str | None) -> Source:
         if mark.name in _METADATA and mark.stat().st_size > 2**20:
             raise InputError(f"{mark}: metadata of more than 1 MiB")
     node: Any = zarr.open(str(path), mode="r")
-    stated = Stated()
-    if isinstance(node, zarr.Group):
-        image = _ome_image(dict(node.attrs), str(path)) if variable is None else None
-        if image is not None:
-            array: Any = node[image["datasets"][0]["path"]]
-            if not isinstance(array, zarr.Array):
-                raise InputError(f"{path}: {image['datasets'][0]['path']} is not an array")
-            stated = _ome(image["axes"], image["datasets"][0], array.shape, str(path))
-        else:
-            arrays = dict(_arrays(node, "", path))
-            array = arrays[
-                pick(path, {n: a.shape for n, a in arrays.items()}, variable, list(arrays))
-            ]
-    else:
-        array = node
+    if not isinstance(node, zarr.Group):
+        return Contents({"": _variable(path, node)})
+    image = _ome_image(dict(node.attrs), str(path)) if wanted is None else None
+    if image is None:
+        return Contents({name: _variable(path, array) for name, array in _arrays(node, "", path)})
+    array: Any = node[image["datasets"][0]["path"]]
+    if not isinstance(array, zarr.Array):
+        raise InputError(f"{path}: {image['datasets'][0]['path']} is not an array")
+    stated = _ome(image["axes"], image["datasets"][0], array.shape, str(path))
+    return Contents({"": _variable(path, array, stated)})
+
+
+def _variable(path: Path, array: Any, stated: Stated | None = None) -> Variable:
     where = f"{path}: {array.path or 'array'}"
-    if stated == Stated():
-        stated = described(dict(array.attrs), where)
+    attrs = dict(array.attrs)
+    if stated is None:
+        stated = described({key: attrs[key] for key in DESCRIPTIONS if key in attrs}, where)
+    named = getattr(array.metadata, "dimension_names", None) or attrs.pop("_ARRAY_DIMENSIONS", ())
+    kept = squeezed_axes(array.shape)
+    dims = tuple(str(named[a] or "") for a in kept) if len(named) == array.ndim else ()
+    dtype = np.dtype(array.dtype)
+    shape = tuple(array.shape[a] for a in kept)
+    if dtype.kind not in "iuf":
+        return Variable(
+            shape, dtype, lambda: _opened(path, array, where), "streamed", dims, attrs, stated
+        )
+    axes = [f"axis {number}" for number in range(len(shape))]
+    unread = Decoded(np.broadcast_to(np.zeros((), dtype), shape), axes, attrs, where=where)
+
+    def opened() -> Array:
+        return Decoded(_opened(path, array, where), axes, attrs, where=where)
+
+    return Variable(shape, unread.dtype, opened, "streamed", dims, unread.attrs, stated)
+
+
+def _opened(path: Path, array: Any, where: str) -> Array:
+    """Check what the library does not, and hand the array over."""
     _check_codecs(array.metadata.to_dict(), where)
     if min(array.chunks, default=0) < 1:
         raise InputError(f"{where} has chunks of {array.chunks} samples: damaged")
     view = squeezed(LazyArray(array, array.chunks))
-    check_array(view.shape, view.dtype, where)
     if nbytes(array.chunks, view.dtype) > MAX_BSCAN_BYTES:
         raise InputError(f"{where} has chunks of {array.chunks} samples: too large to read")
     per_axis = [-(-n // c) for n, c in zip(array.shape, array.chunks, strict=True)]
@@ -81,7 +100,7 @@ def read(path: Path, variable: str | None) -> Source:
     if array.nchunks_initialized == 0:
         raise InputError(f"{where} has no samples stored")
     _check_blosc(path / array.path, array, where)
-    return Source(view, stated, "streamed")
+    return view
 
 
 def _arrays(group: Any, prefix: str, path: Path) -> list[tuple[str, Any]]:

@@ -1,0 +1,102 @@
+"""What a file holds: its arrays, unread, and what it says about them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..errors import InputError
+from .arrays import Array
+from .metadata import Access, Stated
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One array of a file.
+
+    Attributes
+    ----------
+    shape, dtype
+        As its author saw them: MATLAB's order of axes is undone, scale and offset are applied.
+    open
+        Gives the samples, which are read by slices. Missing ones are NaN. Raises an InputError
+        where they cannot be read.
+    access
+        How the samples are reached; None where `open` has to tell: mapped or loaded.
+    dims
+        Names of its axes, empty where the file has none, or for a single axis that has none.
+    attrs
+        Its attributes, without those that `open` has applied.
+    stated
+        What the file says about it as a volume.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    open: Callable[[], Array]
+    access: Access | None = "mapped"
+    dims: tuple[str, ...] = ()
+    attrs: Mapping[str, object] = field(default_factory=dict)
+    stated: Stated = field(default_factory=Stated)
+
+
+@dataclass
+class Contents:
+    """The arrays of a file by name, ``""`` where it holds a single one without a name.
+
+    ``texts`` are those beside them that state a unit, attributes of the whole file among them.
+    """
+
+    variables: Mapping[str, Variable]
+    close: Callable[[], None] = lambda: None
+    texts: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def single(
+        cls,
+        array: Array,
+        stated: Stated,
+        access: Access,
+        close: Callable[[], None] = lambda: None,
+        dims: tuple[str, ...] = (),
+    ) -> Contents:
+        """Contents of a format that holds one array."""
+        variable = Variable(array.shape, array.dtype, lambda: array, access, dims, stated=stated)
+        return cls({"": variable}, close)
+
+    def __enter__(self) -> Contents:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Reader(Protocol):
+    """What the module of a format offers."""
+
+    FORMAT: str
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """Tell whether a file, by its first bytes, or a folder (no bytes) is of this format."""
+
+    def contents(self, path: Path, wanted: str | None) -> Contents:
+        """Find the arrays, unread; those that are not `wanted` may be left out."""
+
+
+@contextmanager
+def translated_errors(path: Path, fmt: str) -> Iterator[None]:
+    """Turn whatever a format's library raises on a damaged file into an InputError."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # parsers raise anything on damaged input
+        detail = f"{type(error).__name__}: {error}"[:300]
+        raise InputError(
+            f"{path}: cannot be read as {fmt}; damaged, truncated or unsupported ({detail})"
+        ) from error

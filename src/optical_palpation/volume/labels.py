@@ -1,0 +1,197 @@
+"""Arrays with labelled axes: which axis is x, and where its points lie."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .contents import Contents, Variable
+from .units import MM, is_unit_key, split_unit, stated_unit
+
+_ALL = (slice(None),) * 32
+#: Most values of a map or a coordinate.
+MAX_VALUES = 2**24
+#: What else axes of a map are called.
+_SYNONYMS = {"column": "x", "columns": "x", "col": "x", "cols": "x", "row": "y", "rows": "y"}
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """Positions along an axis, as stored: ``(n,)``, or those of every pixel, and their unit."""
+
+    name: str
+    values: NDArray[np.float64]
+    dims: tuple[str, ...]
+    unit: str | None
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """Values with their axes in the order asked for; positions in mm where the file has them."""
+
+    values: NDArray
+    positions: dict[str, NDArray[np.float64] | None]
+
+
+def axis_of(name: str, variable: Variable | None = None) -> str:
+    """Return the axis that a name stands for, ``"x"`` for ``X_um``; else the name itself."""
+    said = str(variable.attrs.get("axis", "")).lower() if variable is not None else ""
+    if said in ("x", "y", "z"):
+        return said
+    stem = split_unit(name.rpartition("/")[2])[0].lower()
+    return _SYNONYMS.get(stem, stem)
+
+
+def values_of(path: Path, name: str, variable: Variable) -> NDArray:
+    """Read a whole array; an InputError if it is damaged or larger than any map."""
+    if math.prod(variable.shape) * max(variable.dtype.itemsize, 8) > 8 * MAX_VALUES:
+        raise InputError(
+            f"{path}{f', variable {name}' if name else ''}: it states {variable.shape} values of "
+            f"type {variable.dtype}, far too many for a map (at most {MAX_VALUES} values)"
+        )
+    return variable.open()[_ALL[: len(variable.shape)]]
+
+
+def coordinate(path: Path, contents: Contents, name: str, axis: str) -> Coordinate | None:
+    """Find the coordinate of an array along an axis, None if the file has none.
+
+    Raises
+    ------
+    InputError
+        If there are several, or it is no array of numbers.
+    """
+    group = name.rpartition("/")[0]
+    dims = contents.variables[name].dims
+    names = [
+        other
+        for other, variable in contents.variables.items()
+        if other != name and other.rpartition("/")[0] == group and axis_of(other, variable) == axis
+    ]
+    own = [other for other in names if other.rpartition("/")[2] in dims] or names
+    if not own:
+        return None
+    where = f"{path}, variable {own[0]}"
+    if len(own) > 1:
+        raise InputError(f"{path} has several coordinates along {axis}: {', '.join(own)}")
+    variable = contents.variables[own[0]]
+    values = np.empty(0)
+    if variable.dtype.kind in "fiu" and len(variable.shape) <= 2:
+        values = values_of(path, own[0], variable).astype(np.float64)
+    squeezed = values if values.ndim == 2 and min(values.shape) > 1 else values.ravel()
+    if not squeezed.size:
+        raise InputError(
+            f"{where} should hold the {axis} coordinates, but its shape is {variable.shape} and "
+            f"its type {variable.dtype}. If it is something else, store the map in its own file"
+        )
+    if squeezed.ndim == 2 and variable.dims and variable.dims == dims[::-1] != dims:
+        squeezed = squeezed.T  # as the array is stored
+    return Coordinate(own[0], squeezed, variable.dims, stated_unit(own[0], variable.attrs, where))
+
+
+def labelled(path: Path, contents: Contents, name: str, axes: str = "yx") -> Labelled:
+    """Read an array with its axes in a given order, and their coordinates in mm.
+
+    Which axis is which is said by the names of its dimensions, by the dimensions of the coordinate
+    variables, or by the direction along which coordinates of every pixel vary. Where nothing says
+    it the axes come as they are asked for.
+
+    Raises
+    ------
+    InputError
+        If the labels contradict each other or name other axes, or a coordinate does not fit.
+    """
+    variable = contents.variables[name]
+    where = f"{path}, variable {name}" if name else str(path)
+    if len(variable.shape) != len(axes):
+        raise InputError(
+            f"{where} has the shape {variable.shape}; {len(axes)} axes ({', '.join(axes)}) are "
+            "needed"
+        )
+    found = {axis: coordinate(path, contents, name, axis) for axis in axes}
+    order = _order(variable, found, axes, where)
+    values = values_of(path, name, variable).transpose([order.index(axis) for axis in axes])
+    positions: dict[str, NDArray[np.float64] | None] = {}
+    for number, axis in enumerate(axes):
+        given = found[axis]
+        if given is None:
+            positions[axis] = None
+            continue
+        vector = _vector(given, order.index(axis))
+        if vector.shape != (values.shape[number],):
+            raise InputError(
+                f"{path}, variable {given.name} should hold the {axis} coordinates of "
+                f"{values.shape[number]} pixels (the map has "
+                + " and ".join(
+                    f"{n} {_KIND[a]} along {a}" for a, n in zip(axes, values.shape, strict=True)
+                )
+                + f"), but its shape is {given.values.shape}. If it is something else, store the "
+                "map in a file of its own"
+            )
+        unit = given.unit or _common_unit(contents, given, f"{path}, variable {given.name}")
+        positions[axis] = vector * MM[unit]
+    return Labelled(values, positions)
+
+
+_KIND = {"x": "columns", "y": "rows", "z": "layers"}
+
+
+def _common_unit(contents: Contents, given: Coordinate, where: str) -> str:
+    """Unit of a coordinate that has none of its own; one of the whole file would be ambiguous."""
+    if any(is_unit_key(key) for key in contents.texts):
+        raise InputError(
+            f"{where}: the file states a unit, but does not say whether for the coordinates too; "
+            f"name it {given.name}_mm or {given.name}_um"
+        )
+    return "mm"
+
+
+def _order(
+    variable: Variable, found: dict[str, Coordinate | None], axes: str, where: str
+) -> list[str]:
+    """Which axis each dimension of the stored array is."""
+    names: list[str | None] = [None] * len(axes)
+    for number, dim in enumerate(variable.dims):
+        label = axis_of(dim)
+        if label in ("x", "y", "z"):
+            if label not in axes:
+                raise InputError(
+                    f"{where} has the dimensions ({', '.join(variable.dims)}), not "
+                    f"({', '.join(axes)})"
+                )
+            names[number] = label
+    for axis, given in found.items():
+        at = None
+        if given is not None and len(given.dims) == 1 and given.values.ndim == 1:
+            at = [n for n, dim in enumerate(variable.dims) if dim == given.dims[0]]
+        elif given is not None and given.values.ndim == 2 == len(axes):
+            at = [n for n in (0, 1) if _varies_only_along(given.values, n)]
+        if not at:
+            continue
+        if names[at[0]] not in (None, axis) or axis in names[: at[0]] + names[at[0] + 1 :]:
+            raise InputError(
+                f"{where}: its dimensions are ({', '.join(variable.dims)}), but {given.name} "  # type: ignore[union-attr]
+                f"says that dimension {at[0] + 1} is {axis}"
+            )
+        names[at[0]] = axis
+    if len(set(filter(None, names))) != len(list(filter(None, names))):
+        raise InputError(f"{where}: its dimensions ({', '.join(variable.dims)}) are the same twice")
+    rest = [axis for axis in axes if axis not in names]
+    return [name or rest.pop(0) for name in names]
+
+
+def _varies_only_along(grid: NDArray[np.float64], axis: int) -> bool:
+    first = grid[:, :1] if axis == 0 else grid[:1]
+    return bool(np.array_equal(grid, np.broadcast_to(first, grid.shape)) and np.ptp(first) > 0)
+
+
+def _vector(given: Coordinate, axis: int) -> NDArray[np.float64]:
+    if given.values.ndim == 1:
+        return given.values
+    if not _varies_only_along(given.values, axis):
+        return given.values
+    return given.values[:, 0] if axis == 0 else given.values[0]

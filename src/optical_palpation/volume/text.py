@@ -1,0 +1,317 @@
+"""Tables of numbers in text files: a map with one line per row of pixels.
+
+Lines are split by the standard library and not by pandas, which fills lines that are too short
+with missing values, takes the first column for an index where lines are longer than the header,
+and does not say which line was wrong.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .arrays import LazyArray
+from .contents import Contents
+from .metadata import Stated
+
+FORMAT = "text"
+
+#: Most values of a map: 4096 x 4096 pixels. What states more is damaged, or meant to fill memory.
+MAX_VALUES = 2**24
+_MAX_LINE = 2**18  # characters: a row of 8192 numbers with all their digits
+_MISSING = {"", "NA", "N/A", "NAN", "-NAN"}
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line that holds more than a comment, split into its cells."""
+
+    number: int
+    cells: list[str]
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Any file without a zero byte."""
+    return bool(head) and b"\0" not in head
+
+
+def contents(path: Path, wanted: str | None) -> Contents:
+    """Read the table."""
+    return Contents.single(LazyArray(read_table(path)), Stated(), "loaded")
+
+
+def read_table(path: Path) -> NDArray[np.float64]:
+    """Read a table with one line per row of pixels, NaN where a cell is empty.
+
+    Raises
+    ------
+    InputError
+        If the file is no UTF-8 text or no table of numbers, naming line and column; or if a first
+        line, first column or empty last column may be something else than pixels.
+    """
+    lines = split_lines(path)
+    first = next(lines, None)
+    if first is None:
+        raise InputError(f"{path} holds no numbers, only blank lines or comments")
+    header = None
+    if all(_number(cell) is None or not cell for cell in first.cells) and any(first.cells):
+        header = first
+        _refuse_points(path, header)
+        first = next(lines, None)
+        if first is None:
+            raise InputError(f"{path} holds a header line but no numbers")
+    columns = len(first.cells)
+    rows, unfinished = [], True  # whether every line ends with an empty cell
+    while first is not None:
+        line, first = first, next(lines, None)
+        if len(line.cells) != columns:
+            raise InputError(
+                f"{path}, line {line.number}: {len(line.cells)} columns where the lines before "
+                f"have {columns}"
+            )
+        unfinished &= not line.cells[-1]
+        rows.append(_row(path, line))
+        if len(rows) * columns > MAX_VALUES:
+            raise InputError(
+                f"{path}, line {line.number}: more than {MAX_VALUES} numbers, too many for a map"
+            )
+    table = np.stack(rows)
+    if unfinished and columns > 1:
+        if header is None:
+            raise InputError(
+                f"{path}: every line ends with a separator. If the last column is missing pixels, "
+                "write nan into it; else remove the separators"
+            )
+        if len(header.cells) == columns - 1 or not header.cells[-1]:
+            table = table[:, :-1]  # no column of that name: the separator ends the line
+            header = Line(header.number, header.cells[: columns - 1])
+    return _without_labels(path, header, table)
+
+
+def split_lines(path: Path, comments: str = "#%") -> Iterator[Line]:
+    """Yield the lines of a table, without comments and blank lines, split into stripped cells.
+
+    Cells are separated by tabs, semicolons, commas or spaces, whichever of these the first line
+    has, in this order of preference; quotes around cells are taken off.
+    """
+    delimiter: str | None = None
+    first = True
+    for number, line in _lines(path, comments):
+        if first:
+            delimiter, first = next((mark for mark in "\t;," if mark in line), None), False
+        if delimiter is None:
+            cells = [cell.strip('"') for cell in line.split()]
+        elif '"' in line:
+            cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+        else:
+            cells = line.split(delimiter)
+        yield Line(number, [cell.strip() for cell in cells])
+
+
+@dataclass(frozen=True)
+class Columns:
+    """A table whose columns have names: their cells, and the numbers of the lines."""
+
+    path: Path
+    names: list[str]
+    rows: list[Line]
+
+    def numbers(self, name: str) -> NDArray[np.float64]:
+        """Values of a column.
+
+        Raises
+        ------
+        InputError
+            If there is no such column or there are several, or a cell is no finite number.
+        """
+        at = [number for number, other in enumerate(self.names) if other == name]
+        if len(at) != 1:
+            problem = f"{len(at)} columns are called" if at else "there is no column"
+            raise InputError(
+                f"{self.path}: {problem} {name!r}; the table has: {', '.join(self.names)}"
+            )
+        values = np.array([_number(row.cells[at[0]]) for row in self.rows], np.float64)
+        if not np.isfinite(values).all():
+            row = int(np.argmin(np.isfinite(values)))
+            cell = self.rows[row].cells[at[0]]
+            comma = ": write decimal points, no commas" if "," in cell else ""
+            raise InputError(
+                f"{self.path}: column {name!r}, data row {row + 1} holds {cell[:40]!r}, not a "
+                f"number{comma}"
+            )
+        return values
+
+
+def read_columns(path: Path) -> Columns:
+    """Read a table with a header, and perhaps a second line with units, which joins the names.
+
+    Raises
+    ------
+    InputError
+        If the file is no UTF-8 text, or its lines do not have one cell for each name.
+    """
+    lines = split_lines(path, comments="#")
+    header = next(lines, None)
+    if header is None:
+        raise InputError(f"{path}: cannot be read as a table: it has no lines")
+    rows: list[Line] = []
+    for line in lines:
+        rows.append(line)
+        if len(rows) * len(line.cells) > MAX_VALUES // 16:
+            raise InputError(f"{path}: too long for a table of measurements")
+    names = header.cells
+    if any(_number(name) is not None and name for name in names):
+        raise InputError(f"{path}, line {header.number}: no header with the names of columns")
+    counts = {len(row.cells) for row in rows}
+    if counts == {len(names) + 1} and not any(row.cells[-1] for row in rows):
+        rows = [Line(row.number, row.cells[:-1]) for row in rows]  # a separator ends every line
+    for row in rows:
+        if len(row.cells) != len(names):
+            raise InputError(
+                f"{path}, line {row.number}: {len(row.cells)} cells under a header of {len(names)}"
+            )
+    if rows and any(rows[0].cells) and all(_number(c) is None or not c for c in rows[0].cells):
+        names = [f"{name} {unit}".strip() for name, unit in zip(names, rows[0].cells, strict=True)]
+        rows = rows[1:]
+    return Columns(path, names, rows)
+
+
+def _refuse_points(path: Path, header: Line) -> None:
+    names = [
+        cell.lower().replace("(", "_").replace("[", "_").split("_")[0] for cell in header.cells
+    ]
+    if {"x", "y"} <= {name.strip() for name in names}:
+        raise InputError(
+            f"{path}, line {header.number}: the header {', '.join(header.cells)} says that this is "
+            "a list of points; a map needs one line per row of pixels"
+        )
+
+
+def _without_labels(
+    path: Path, header: Line | None, table: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Take off numbers of rows and columns, as pandas and R write them; refuse other labels."""
+    rows, columns = table.shape
+    corner_empty = np.isnan(table[0, 0])
+    if header is not None and len(header.cells) not in (columns, columns - 1):
+        raise InputError(
+            f"{path}, line {header.number}: the header has {len(header.cells)} columns, the lines "
+            f"below have {columns}"
+        )
+    first_column, first_row = table[:, 0], table[0]
+    if header is not None:
+        named = len(header.cells) == columns and header.cells[0]
+        if not named and columns > 2:  # a column without a name, or with none at all
+            if not _counts(first_column):
+                raise InputError(
+                    f"{path}: the first column has no name in the header and is no count of the "
+                    "lines: its labels may be coordinates. Remove them, and give field of view or "
+                    "pixel spacing"
+                )
+            return table[:, 1:]
+        if rows > 2 and columns > 2 and _counts(first_column):
+            raise InputError(
+                f"{path}: the first column, {header.cells[0]!r}, counts the lines; remove it"
+            )
+        return table
+    if rows > 2 and columns > 2:
+        if corner_empty and _counts(first_row[1:]) and _counts(first_column[1:]):
+            return table[1:, 1:]
+        if corner_empty and _steady(first_row[1:]) and _steady(first_column[1:]):
+            raise InputError(
+                f"{path}: the first cell is empty, first line and first column rise or fall "
+                "steadily: they may be coordinates. Remove them, and give field of view or pixel "
+                "spacing; or write nan into the first cell if it is a missing pixel"
+            )
+        if _counts(first_row) and not _counts(table[1]):
+            if first_row[0] == 0.0:  # which is no thickness
+                return table[1:]
+            raise InputError(
+                f"{path}: the first line counts the columns, {first_row[0]:g} to "
+                f"{first_row[-1]:g}; remove it if it is no thickness"
+            )
+        if _counts(first_column):
+            raise InputError(f"{path}: the first column counts the lines; remove it")
+    _refuse_grid_of_points(path, table)
+    return table
+
+
+def _counts(values: NDArray[np.float64]) -> bool:
+    """Tell whether values are 0, 1, 2, ... or 1, 2, 3, ..."""
+    return bool(
+        values.size > 1
+        and values[0] in (0.0, 1.0)
+        and np.array_equal(values, values[0] + np.arange(values.size))
+    )
+
+
+def _steady(values: NDArray[np.float64]) -> bool:
+    steps = np.diff(values)
+    return bool(values.size > 1 and (np.all(steps > 0.0) or np.all(steps < 0.0)))
+
+
+def _refuse_grid_of_points(path: Path, table: NDArray[np.float64]) -> None:
+    """Refuse three columns of which two run through the points of a grid."""
+    rows, columns = table.shape
+    if columns == 3 and rows >= 4:
+        for one, other in ((0, 1), (1, 0)):
+            positions = np.unique(table[:, one])
+            if 1 < positions.size < rows and rows % positions.size == 0:
+                repeats = rows // positions.size
+                slow = np.array_equal(np.repeat(table[::repeats, one], repeats), table[:, one])
+                block = table[:repeats, other]
+                if slow and np.array_equal(np.tile(block, positions.size), table[:, other]):
+                    raise InputError(
+                        f"{path}: columns 1 and 2 run through the points of a grid: this is a "
+                        "list of points; a map needs one line per row of pixels"
+                    )
+
+
+def _row(path: Path, line: Line) -> NDArray[np.float64]:
+    values = [_number(cell) for cell in line.cells]
+    if None in values:
+        column = values.index(None)
+        raise InputError(
+            f"{path}, line {line.number}, column {column + 1}: {line.cells[column][:40]!r} is no "
+            "number"
+        )
+    return np.array(values, dtype=np.float64)
+
+
+def _lines(path: Path, comments: str) -> Iterator[tuple[int, str]]:
+    """Lines that hold more than a comment, with their numbers."""
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            number = 0
+            while raw := file.readline(_MAX_LINE):
+                number += 1
+                if len(raw) == _MAX_LINE:
+                    raise InputError(
+                        f"{path}, line {number}: longer than {_MAX_LINE} characters, which no row "
+                        "of a table is"
+                    )
+                line = raw.rstrip("\r\n")
+                for mark in comments:
+                    line = line.split(mark)[0]
+                if line.strip():
+                    yield number, line
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is neither UTF-8 text nor in another known format") from error
+
+
+def _number(cell: str) -> float | None:
+    """Value of a cell, NaN if it is empty (a missing pixel), None if it is no number."""
+    if cell.upper() in _MISSING:
+        return np.nan
+    try:
+        return None if "_" in cell else float(cell)
+    except ValueError:
+        return None

@@ -1,0 +1,699 @@
+"""Files of thickness maps made on purpose: formats x conventions x faults, each with its answer.
+
+Every case is a function that writes a file into a folder and returns its path, options for
+``read_thickness_map``, and the answer: a map in mm (with its coordinates where the file has them),
+or what the refusal must say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+import scipy.io
+import tifffile
+import xarray as xr
+
+MAP = 0.4 + 0.1 * np.random.default_rng(5).random((4, 5)).round(3)
+SQUARE = 0.4 + 0.1 * np.random.default_rng(6).random((4, 4)).round(3)
+X, Y = np.array([0.0, 0.2, 0.4, 0.6, 0.8]), np.array([1.0, 1.3, 1.6, 1.9])
+FIELD = {"field_of_view": (2.0, 1.0)}
+HOLE = np.zeros(MAP.shape, bool)
+HOLE[1, 3] = HOLE[2, 0] = True
+HOLED = np.where(HOLE, np.nan, MAP)
+
+#: name: (dims, values, attributes)
+Parts = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
+
+
+class Read(NamedTuple):
+    """The map that must come out."""
+
+    values: np.ndarray
+    x: np.ndarray | None = None
+    y: np.ndarray | None = None
+
+
+class Refused(NamedTuple):
+    """What the error must say, as a regular expression."""
+
+    says: str
+
+
+class Case(NamedTuple):
+    write: Callable[[Path], Path]
+    options: dict[str, Any]
+    answer: Read | Refused
+
+
+CASES: dict[str, Case] = {}
+
+
+def add(name: str, write: Callable[[Path], Path], answer: Read | Refused, **options: Any) -> None:
+    assert name not in CASES, name
+    CASES[name] = Case(write, options or FIELD, answer)
+
+
+# --- containers ---------------------------------------------------------------------------------
+
+
+def netcdf4(path: Path, parts: Parts) -> None:
+    _dataset(parts).to_netcdf(path, engine="h5netcdf", encoding=_encoding(parts))
+
+
+def netcdf3(path: Path, parts: Parts) -> None:
+    _dataset(parts).to_netcdf(path, engine="scipy", encoding=_encoding(parts))
+
+
+def _dataset(parts: Parts) -> xr.Dataset:
+    return xr.Dataset(
+        {name: (dims, values, attrs) for name, (dims, values, attrs) in parts.items()}
+    )
+
+
+def _encoding(parts: Parts) -> dict[str, Any]:
+    return {name: {"_FillValue": None} for name, p in parts.items() if "_FillValue" not in p[2]}
+
+
+def hdf5_scales(path: Path, parts: Parts) -> None:
+    """Plain HDF5 whose axes are named by dimension scales."""
+    with h5py.File(path, "w") as file:
+        for name, (_, values, attrs) in parts.items():
+            file[name] = values
+            file[name].attrs.update(attrs)
+        for name, (dims, _, _) in parts.items():
+            for dim in dims:
+                if dim == name:
+                    file[name].make_scale(name)
+        for name, (dims, values, _) in parts.items():
+            for axis, dim in enumerate(dims):
+                if dim == name:
+                    continue
+                if dim not in file:
+                    file[dim] = np.zeros(np.shape(values)[axis])
+                    file[dim].make_scale("This is a netCDF dimension but not a netCDF variable.")
+                file[name].dims[axis].attach_scale(file[dim])
+
+
+def hdf5_labels(path: Path, parts: Parts) -> None:
+    """Plain HDF5 whose axes have labels only."""
+    with h5py.File(path, "w") as file:
+        for name, (dims, values, attrs) in parts.items():
+            file[name] = values
+            file[name].attrs.update(attrs)
+            for axis, dim in enumerate(dims):
+                file[name].dims[axis].label = dim
+
+
+def matlab5(path: Path, parts: Parts) -> None:
+    scipy.io.savemat(path, {name: values for name, (_, values, _) in parts.items()})
+
+
+def matlab73(path: Path, parts: Parts) -> None:
+    """What MATLAB's ``save -v7.3`` writes: column-major arrays in HDF5 behind a header."""
+    kinds = {"b": "logical", "f": "double", "U": "char", "u": "uint8", "i": "int32"}
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, (_, given, _) in parts.items():
+            values = np.asarray(given)
+            kind = kinds[values.dtype.kind]
+            if kind == "char":
+                values = np.array([[ord(c) for c in str(given)]], np.uint16)
+            values = np.atleast_2d(values.astype("u1") if kind == "logical" else values)
+            file.create_dataset(name, data=values.T).attrs["MATLAB_class"] = np.bytes_(kind)
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+def npz(path: Path, parts: Parts) -> None:
+    with path.open("wb") as stream:
+        np.savez(stream, **{name: values for name, (_, values, _) in parts.items()})
+
+
+LABELLED = {"nc4": netcdf4, "nc3": netcdf3, "h5scales": hdf5_scales, "h5labels": hdf5_labels}
+BARE = {"mat5": matlab5, "mat73": matlab73, "npz": npz}
+NETCDF = {"nc4": netcdf4, "nc3": netcdf3}
+ATTRIBUTES = {"nc4": netcdf4, "nc3": netcdf3, "h5": hdf5_labels}
+ALL = LABELLED | BARE
+
+
+def stored(write: Callable[[Path, Parts], None], parts: Parts) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        write(folder / "map.dat", parts)
+        return folder / "map.dat"
+
+    return make
+
+
+def named(name: str, values: Any, dims: tuple[str, ...] = ("y", "x"), **attrs: Any) -> Parts:
+    return {name: (dims, values, attrs)}
+
+
+COORDINATES: Parts = {"x": (("x",), X, {"units": "mm"}), "y": (("y",), Y, {"units": "mm"})}
+
+# --- which axis is which ------------------------------------------------------------------------
+
+for fmt, write in LABELLED.items():
+    add(f"{fmt} (y, x)", stored(write, named("L1", MAP)), Read(MAP))
+    add(f"{fmt} (x, y) is turned", stored(write, named("L1", MAP.T, ("x", "y"))), Read(MAP))
+    add(
+        f"{fmt} square (x, y) is turned",
+        stored(write, named("L1", SQUARE.T, ("x", "y"))),
+        Read(SQUARE),
+    )
+    add(
+        f"{fmt} (column, row) is turned",
+        stored(write, named("L1", MAP.T, ("column", "row"))),
+        Read(MAP),
+    )
+    add(
+        f"{fmt} other names of axes say nothing",
+        stored(write, named("L1", MAP, ("a", "b"))),
+        Read(MAP),
+    )
+    add(
+        f"{fmt} B-scan (z, x)",
+        stored(write, named("L1", MAP, ("z", "x"))),
+        Refused(r"dimensions \(z, x\), not \(y, x\)"),
+    )
+    add(
+        f"{fmt} x runs along the first dimension",
+        stored(
+            write,
+            {
+                "L1": (("a", "b"), SQUARE.T, {}),
+                "x": (("a",), X[:4], {"units": "mm"}),
+                "y": (("b",), Y, {"units": "mm"}),
+            },
+        ),
+        Read(SQUARE, X[:4], Y),
+        variable="L1",
+    )
+for fmt, write in NETCDF.items():
+    add(
+        f"{fmt} (x, y) with coordinates in um",
+        stored(
+            write,
+            {
+                "L1": (("x", "y"), MAP.T, {}),
+                "x": (("x",), 1000 * X, {"units": "um"}),
+                "y": (("y",), Y, {}),
+            },
+        ),
+        Read(MAP, X, Y),
+        variable="L1",
+    )
+    add(
+        f"{fmt} axis attributes name the axes",
+        stored(
+            write,
+            {
+                "L1": (("e", "n"), MAP.T, {}),
+                "e": (("e",), X, {"axis": "X"}),
+                "n": (("n",), Y, {"axis": "Y"}),
+            },
+        ),
+        Read(MAP, X, Y),
+        variable="L1",
+    )
+    add(
+        f"{fmt} descending y",
+        stored(write, {"L1": (("y", "x"), MAP, {}), **COORDINATES, "y": (("y",), Y[::-1], {})}),
+        Read(MAP[::-1], X, Y),
+        variable="L1",
+    )
+grids = np.meshgrid(X, Y)
+for fmt, write in BARE.items():
+    bare = (), MAP, {}
+    add(
+        f"{fmt} coordinates of every pixel, meshgrid",
+        stored(write, {"L1": bare, "x": ((), grids[0], {}), "y": ((), grids[1], {})}),
+        Read(MAP, X, Y),
+        variable="L1",
+    )
+    add(
+        f"{fmt} coordinates of every pixel, ndgrid: the map is turned",
+        stored(
+            write,
+            {"L1": ((), MAP.T, {}), "X_um": ((), 1000 * grids[0].T, {}), "Y": ((), grids[1].T, {})},
+        ),
+        Read(MAP, X, Y),
+        variable="L1",
+    )
+    add(
+        f"{fmt} x as long as the rows",
+        stored(write, {"L1": bare, "x": ((), Y, {}), "y": ((), X, {})}),
+        Refused("4 rows along y and 5 columns along x"),
+        variable="L1",
+    )
+    add(
+        f"{fmt} coordinates along x only",
+        stored(write, {"L1": bare, "x": ((), X, {})}),
+        Refused("both x and y"),
+        variable="L1",
+    )
+    add(
+        f"{fmt} coordinates against the field of view",
+        stored(write, {"L1": bare, "x": ((), X, {}), "y": ((), Y, {})}),
+        Refused("contradicts the coordinates"),
+        variable="L1",
+        **FIELD,
+    )
+
+# --- units --------------------------------------------------------------------------------------
+
+SCALES = {"mm": 1.0, "um": 1e3, "nm": 1e6, "microns": 1e3}
+for fmt, write in ALL.items():
+    for unit, factor in SCALES.items():
+        if fmt == "h5scales" or (fmt == "nc3" and unit == "mm"):
+            continue
+        add(f"{fmt} L1_{unit}", stored(write, named(f"L1_{unit}", factor * MAP)), Read(MAP))
+for fmt, write in ATTRIBUTES.items():
+    for key, text, factor in (
+        ("units", "um", 1e3),
+        ("unit", "um", 1e3),
+        ("Units", "microns", 1e3),
+        ("Unit", "nm", 1e6),
+        ("units", "metres", 1e-3),
+        ("UNITS", "Millimeter", 1.0),
+    ):
+        parts = named("L1", factor * MAP, **{key: text})
+        add(f"{fmt} attribute {key} = {text}", stored(write, parts), Read(MAP))
+    add(
+        f"{fmt} unit that is no length",
+        stored(write, named("L1", MAP, units="pixel")),
+        Refused("'pixel'; known units of length"),
+    )
+    add(
+        f"{fmt} suffix against attribute",
+        stored(write, named("L1_um", MAP, Units="mm")),
+        Refused("contradicting units of length: its name says um, its Units attribute says mm"),
+    )
+for fmt, write in BARE.items():
+    parts = {"L1": ((), 1e3 * MAP, {}), "units": ((), "um", {})}
+    add(f"{fmt} text units beside the map", stored(write, parts), Read(MAP))
+    parts = parts | {"x": ((), X, {}), "y": ((), Y, {})}
+    add(
+        f"{fmt} text units that may be those of the coordinates too",
+        stored(write, parts),
+        Refused("for the coordinates too"),
+        variable="L1",
+    )
+
+# --- masks --------------------------------------------------------------------------------------
+
+for fmt, write in ALL.items():
+    if fmt == "h5labels":
+        continue
+    kinds = {"float": float, "whole": np.uint8} | ({"bool": bool} if fmt != "nc3" else {})
+    for kind, dtype in kinds.items():
+        parts = {"L1": (("y", "x"), MAP, {}), "filled": (("y", "x"), HOLE.astype(dtype), {})}
+        if not (fmt in ("nc3", "h5scales") and kind == "whole"):
+            add(f"{fmt} {kind} mask filled", stored(write, parts), Read(HOLED))
+    small = HOLE[:, :4].astype(float)
+    parts = {"L1": (("y", "x"), MAP, {}), "filled": (("y", "x2"), small, {})}
+    add(f"{fmt} mask of another shape", stored(write, parts), Refused("marks 4 x 4 pixels"))
+    parts = {"L1": (("y", "x"), MAP, {}), "filled": (("y", "x"), 255.0 * HOLE, {})}
+    add(f"{fmt} mask of 0 and 255", stored(write, parts), Refused("should hold 0 and 1"))
+for fmt, write in BARE.items():
+    parts = {"L1": ((), MAP, {}), "filled": ((), HOLE.T.astype(float), {})}
+    add(f"{fmt} transposed mask", stored(write, parts), Refused("is it transposed"))
+    parts = {"L1": ((), MAP, {}), "mask": ((), (~HOLE).astype(float), {})}
+    add(f"{fmt} mask that may mean either", stored(write, parts), Refused("does not say what"))
+for fmt, write in LABELLED.items():
+    parts = {"L1": (("y", "x"), MAP, {}), "filled": (("x", "y"), HOLE.T.astype(float), {})}
+    add(f"{fmt} mask (x, y) is turned", stored(write, parts), Read(HOLED))
+
+# --- missing values -----------------------------------------------------------------------------
+
+DEFAULT_FILL = 9.969209968386869e36
+
+
+def packed(values: np.ndarray, fill: int = -1) -> np.ndarray:
+    return np.where(np.isnan(values), fill, np.round((values - 0.3) / 1e-4)).astype("i2")
+
+
+PACKED = {"scale_factor": 1e-4, "add_offset": 0.3}
+for fmt, write in NETCDF.items():
+    holes = np.where(HOLE, -1.0, MAP)
+    for what, parts in {
+        "_FillValue": named("L1", holes, _FillValue=-1.0),
+        "missing_value": named("L1", holes, missing_value=-1.0),
+        "valid_range": named("L1", np.where(HOLE, 77.7, MAP), valid_range=[0.0, 1.0]),
+        "valid_min": named("L1", np.where(HOLE, 0.001, MAP), valid_min=0.1),
+        "valid_max": named("L1", np.where(HOLE, 77.7, MAP), valid_max=1.0),
+        "netCDF's default fill": named("L1", np.where(HOLE, DEFAULT_FILL, MAP)),
+        "netCDF's default fill, single": named(
+            "L1", np.where(HOLE, DEFAULT_FILL, MAP).astype("f4")
+        ),
+        "scale and offset": named("L1", packed(HOLED), _FillValue=np.int16(-1), **PACKED),
+        "scale and offset, netCDF's default fill": named("L1", packed(HOLED, -32767), **PACKED),
+        "valid_range of packed values": named(
+            "L1", packed(HOLED, 9000), valid_range=np.array([0, 3000], "i2"), **PACKED
+        ),
+        "valid_range of unpacked values": named(
+            "L1", packed(HOLED, 9000), valid_range=[0.0, 0.7], **PACKED
+        ),
+    }.items():
+        add(f"{fmt} {what}", stored(write, parts), Read(HOLED))
+    add(
+        f"{fmt} valid_range that is no range",
+        stored(write, named("L1", MAP, valid_range=[0.0, 1.0, 2.0])),
+        Refused("valid_range"),
+    )
+
+
+def hdf5(build: Callable[[h5py.File], Any]) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        with h5py.File(folder / "map.h5", "w") as file:
+            build(file)
+        return folder / "map.h5"
+
+    return make
+
+
+def partly_written(file: h5py.File, fill: float | None) -> None:
+    dataset = file.create_dataset("L1", MAP.shape, "f8", chunks=(2, 3), fillvalue=fill)
+    dataset[:, :3] = MAP[:, :3]
+    dataset[:2, 3:] = MAP[:2, 3:]
+
+
+UNWRITTEN = MAP.copy()
+UNWRITTEN[2:, 3:] = np.nan
+add("h5 chunks never written", hdf5(lambda f: partly_written(f, None)), Read(UNWRITTEN))
+add("h5 chunks never written, fill 0.45", hdf5(lambda f: partly_written(f, 0.45)), Read(UNWRITTEN))
+add(
+    "h5 fill value of the dataset",
+    hdf5(lambda f: f.create_dataset("L1", data=np.where(HOLE, 0.123, MAP), fillvalue=0.123)),
+    Read(HOLED),
+)
+add(
+    "h5 nothing written",
+    hdf5(lambda f: f.create_dataset("L1", (4, 5), "f8", chunks=(2, 3))),
+    Refused("only 0 bytes stored"),
+)
+add("h5 map in a group", hdf5(lambda f: f.create_dataset("scan/L1", data=MAP)), Read(MAP))
+
+
+def npy(values: Any) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        np.save(folder / "map.npy", values)
+        return folder / "map.npy"
+
+    return make
+
+
+for mark in (999.0, 9999.0, 99999.0, 999.9, 32767.0, 65535.0, 1e20, DEFAULT_FILL / 2, 3.4e38):
+    add(f"npy {mark:g} for missing", npy(np.where(HOLE, mark, MAP)), Refused("a mark of missing"))
+for mark in (0.0, -1.0, -999.0, -9999.0):
+    add(
+        f"npy {mark:g} for missing",
+        npy(np.where(HOLE, mark, MAP)),
+        Refused("missing pixels with NaN"),
+    )
+add("npy NaN for missing", npy(HOLED), Read(HOLED))
+one = np.full((20, 20), np.nan)
+one[7, 9] = 0.45
+add("npy one pixel of 400", npy(one), Refused("only 0.2% of the layer"))
+few = np.where(np.arange(400).reshape(20, 20) < 195, 0.45, np.nan)
+add("npy less than half measured", npy(few), Refused("only 48.8% of the layer"))
+most = np.where(np.arange(400).reshape(20, 20) < 300, 0.45, np.nan)
+add("npy three quarters measured", npy(most), Read(most))
+add(
+    "npy layer where it is measured",
+    npy(few),
+    Read(few),
+    field_of_view=(19.0, 19.0),
+    layer_extent=(0.0, 19.0, 0.0, 8.0),
+)
+add(
+    "npy 999 um is a thickness",
+    npy(np.where(HOLE, 999.0, 900 + 100 * MAP)),
+    Read(np.where(HOLE, 0.999, 0.9 + 0.1 * MAP)),
+    length_unit="um",
+    **FIELD,
+)
+for kind, values, says in (
+    ("counts", (1000 * MAP).astype(int), "pixel counts"),
+    ("flags", MAP > 0.45, "type bool"),
+    ("complex", MAP + 0j, "complex128"),
+    ("text", MAP.astype(str), "floating-point"),
+    ("volume", np.ones((3, 4, 5)), "3 x 4 x 5"),
+    ("row", MAP[:1], "1 x 5"),
+    ("infinite", np.where(HOLE, np.inf, MAP), "infinite"),
+):
+    add(f"npy {kind}", npy(values), Refused(says))
+add("npy big-endian", npy(MAP.astype(">f8")), Read(MAP))
+add("npy columns first", npy(np.asfortranarray(MAP)), Read(MAP))
+add("npy half precision", npy(MAP.astype("f2")), Read(MAP.astype("f2").astype(float)))
+
+# --- text ---------------------------------------------------------------------------------------
+
+
+def text(content: str | bytes) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        raw = content.encode() if isinstance(content, str) else content
+        (folder / "map.csv").write_bytes(raw)
+        return folder / "map.csv"
+
+    return make
+
+
+def rows(separator: str = ",", end: str = "", values: np.ndarray = MAP) -> str:
+    return "".join(
+        separator.join("" if np.isnan(v) else f"{v:.17g}" for v in row) + end + "\n"
+        for row in values
+    )
+
+
+def pandas(**options: Any) -> str:
+    import pandas as pd
+
+    return str(pd.DataFrame(MAP).to_csv(**options))
+
+
+last = MAP.copy()
+last[:, -1] = np.nan
+partly = MAP.copy()
+partly[1:, -1] = np.nan
+corner = MAP[:, ::-1].copy()
+corner[0, 0] = np.nan
+names = ",".join("abcde")
+points = "".join(
+    f"{x},{y},{v}\n"
+    for y, row in zip(Y, MAP, strict=True)
+    for x, v in zip(X + 0.1, row, strict=True)
+)
+for name, content, answer in (
+    ("pandas with header and index", pandas(), Read(MAP)),
+    ("pandas with header", pandas(index=False), Read(MAP)),
+    ("pandas with index", pandas(header=False), Refused("counts the lines")),
+    ("pandas with named columns and index", pandas(header=list("abcde")), Read(MAP)),
+    ("pandas with named columns", pandas(header=list("abcde"), index=False), Read(MAP)),
+    ("pandas with a named index", pandas(index_label="row"), Refused("line 1, column 1: 'row'")),
+    (
+        "pandas, named index and columns",
+        pandas(header=list("abcde"), index_label="row"),
+        Refused("counts the lines"),
+    ),
+    (
+        "R with row names",
+        '"","V1","V2","V3","V4","V5"\n'
+        + "".join(f'"{n}",{line}\n' for n, line in enumerate(rows().splitlines(), 1)),
+        Read(MAP),
+    ),
+    (
+        "coordinates as labels",
+        ",0,0.2,0.4,0.6,0.8\n"
+        + "".join(f"{y},{line}\n" for y, line in zip(Y, rows().splitlines(), strict=True)),
+        Refused("may be coordinates"),
+    ),
+    (
+        "unnamed column of coordinates",
+        f",{names}\n"
+        + "".join(f"{y},{line}\n" for y, line in zip(Y, rows().splitlines(), strict=True)),
+        Refused("no count of the lines"),
+    ),
+    ("columns numbered from 1", "1,2,3,4,5\n" + rows(), Refused("counts the columns")),
+    ("comma at every line end", rows(end=","), Refused("every line ends with a separator")),
+    ("comma at every line end and after the header", f"{names},\n" + rows(end=","), Read(MAP)),
+    ("comma at every line end below the header", f"{names}\n" + rows(end=","), Read(MAP)),
+    ("empty last column", rows("\t", values=last), Refused("every line ends with a separator")),
+    ("empty last column with a name", f"{names}\n" + rows(values=last), Read(last)),
+    ("nan in the last column", rows("\t", values=last).replace("\t\n", "\tnan\n"), Read(last)),
+    ("TSV, last column partly empty", rows("\t", values=partly), Read(partly)),
+    ("CSV, last column partly empty", rows(values=partly), Read(partly)),
+    ("empty corner", rows(values=corner), Read(corner)),
+    ("semicolons", rows(";"), Read(MAP)),
+    ("spaces", rows("  "), Read(MAP)),
+    ("spaces at both ends", "".join(f"  {line}  \n" for line in rows(" ").splitlines()), Read(MAP)),
+    ("tabs and a header", names.replace(",", "\t") + "\n" + rows("\t"), Read(MAP)),
+    (
+        "quoted cells",
+        "".join(
+            ",".join(f'"{cell}"' for cell in line.split(",")) + "\n" for line in rows().splitlines()
+        ),
+        Read(MAP),
+    ),
+    ("byte-order mark and CR LF", "\ufeff" + rows().replace("\n", "\r\n"), Read(MAP)),
+    (
+        "comments",
+        "# made by us, 2024\n% and MATLAB\n" + rows().replace("\n", " # row\n"),
+        Read(MAP),
+    ),
+    ("blank lines", "\n" + rows().replace("\n", "\n\n"), Read(MAP)),
+    (
+        "missing words",
+        "0.4,NA,0.42\nnan,0.44,N/A\n",
+        Read(np.array([[0.4, np.nan, 0.42], [np.nan, 0.44, np.nan]])),
+    ),
+    ("decimal commas", rows(";").replace(".", ","), Refused("is no number")),
+    ("decimal commas and commas", rows().replace(".", ","), Refused("zero or negative|columns")),
+    ("999 for missing", rows(values=np.where(HOLE, 999, MAP)), Refused("mark of missing")),
+    ("-- for missing", rows().replace(f"{MAP[1, 1]:.17g}", "--"), Refused("'--' is no number")),
+    ("short line", rows().replace(f",{MAP[2, 4]:.17g}", ""), Refused("line 3: 4 columns")),
+    ("long line", rows().replace(f",{MAP[2, 4]:.17g}", ",0.4,0.4"), Refused("line 3: 6 columns")),
+    ("header longer than the lines", f"{names},f\n" + rows(), Refused("header has 6 columns")),
+    ("list of points with a header", "x_mm,y_mm,L1\n" + points, Refused("list of points")),
+    ("list of points", points, Refused("list of points")),
+    ("title", "thickness of the layer\n" + rows(), Refused("header has 1 columns|no number")),
+    ("ESRI grid", "ncols 5\nnrows 4\n" + rows(" "), Refused("'ncols' is no number")),
+    ("UTF-16", rows().encode("utf-16"), Refused("format|UTF-8")),
+    ("two numbers with units", "0.4 mm,0.5 mm\n0.4 mm,0.5 mm\n", Refused("no numbers|no number")),
+):
+    add(f"text {name}", text(content), answer)
+
+# --- TIFF ---------------------------------------------------------------------------------------
+
+LARGE = np.random.default_rng(7).uniform(0.4, 0.5, (40, 50)).astype("f4")
+
+
+def tiff(values: np.ndarray, **options: Any) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        tifffile.imwrite(folder / "map.tif", values, **options)
+        return folder / "map.tif"
+
+    return make
+
+
+for name, options in {
+    "plain": {},
+    "deflate": {"compression": "zlib"},
+    "LZW": {"compression": "lzw"},
+    "PackBits": {"compression": "packbits"},
+    "Zstandard": {"compression": "zstd"},
+    "deflate, predictor": {"compression": "zlib", "predictor": 3},
+    "tiled": {"tile": (16, 16)},
+    "tiled, deflate": {"tile": (16, 16), "compression": "zlib"},
+    "strips": {"rowsperstrip": 7, "compression": "zlib"},
+    "big-endian": {"byteorder": ">"},
+    "BigTIFF": {"bigtiff": True},
+}.items():
+    add(f"tiff {name}", tiff(LARGE, **options), Read(LARGE.astype(float)))
+add("tiff double, deflate", tiff(MAP, compression="zlib"), Read(MAP))
+for orientation in range(2, 9):
+    add(
+        f"tiff orientation {orientation}",
+        tiff(MAP, extratags=[(274, "H", 1, orientation)]),
+        Refused(f"orientation tag says {orientation}"),
+    )
+add("tiff orientation 1", tiff(MAP, extratags=[(274, "H", 1, 1)]), Read(MAP))
+for nodata, mark in (("-9999", -9999.0), ("999", 999.0), ("0", 0.0), ("nan", np.nan)):
+    for compression in (None, "zlib"):
+        add(
+            f"tiff GDAL_NODATA {nodata}, {compression or 'plain'}",
+            tiff(
+                np.where(HOLE, mark, MAP),
+                compression=compression,
+                extratags=[(42113, "s", 0, nodata)],
+            ),
+            Read(HOLED),
+        )
+add(
+    "tiff GDAL_NODATA that is no number",
+    tiff(MAP, extratags=[(42113, "s", 0, "none")]),
+    Refused("GDAL_NODATA"),
+)
+add(
+    "tiff GDAL scale",
+    tiff(
+        MAP,
+        extratags=[
+            (
+                42112,
+                "s",
+                0,
+                '<GDALMetadata><Item name="SCALE" sample="0" role="scale">0.001</Item>'
+                "</GDALMetadata>",
+            )
+        ],
+    ),
+    Refused("a scale of 0.001"),
+)
+add("tiff whole numbers", tiff((1000 * MAP).astype("u2")), Refused("uint16"))
+add("tiff white is zero", tiff(MAP, photometric="miniswhite"), Refused("inverted grey"))
+add("tiff colour", tiff(np.ones((4, 5, 3), "f4"), photometric="rgb"), Refused("colour|4 x 5 x 3"))
+add("tiff two pages", tiff(np.stack([MAP, MAP])), Refused("2 x 4 x 5"))
+IMAGEJ = {"imagej": True, "resolution": (1 / 20, 1 / 30), "metadata": {"unit": "um"}}
+add(
+    "tiff ImageJ's pixel size",
+    tiff(MAP.astype("f4"), **IMAGEJ),
+    Read(MAP.astype("f4").astype(float), 0.02 * np.arange(5), 0.03 * np.arange(4)),
+    variable=None,
+)
+add(
+    "tiff ImageJ's pixel size against the field of view",
+    tiff(MAP.astype("f4"), **IMAGEJ),
+    Refused("states a pixel spacing of 0.03"),
+)
+
+# --- others -------------------------------------------------------------------------------------
+
+
+def zarr(dims: tuple[str, str], **attrs: Any) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        import zarr
+
+        stored = MAP if dims == ("y", "x") else MAP.T
+        array = zarr.create_array(
+            str(folder / "map.zarr"),
+            shape=stored.shape,
+            chunks=(2, 2),
+            dtype="f8",
+            dimension_names=dims,
+        )
+        array[:] = stored
+        array.attrs.update(attrs)
+        return folder / "map.zarr"
+
+    return make
+
+
+def nifti(folder: Path) -> Path:
+    import nibabel
+
+    image = nibabel.Nifti1Image(MAP.T, np.diag([20.0, 30.0, 1.0, 1.0]))
+    image.header.set_xyzt_units("micron")
+    nibabel.save(image, folder / "map.nii")
+    return folder / "map.nii"
+
+
+def raw(folder: Path) -> Path:
+    (folder / "map.raw").write_bytes(MAP.astype("<f8").tobytes())
+    (folder / "map.raw.toml").write_text('dtype = "float64"\nshape = [4, 5]\n')
+    return folder / "map.raw"
+
+
+add("zarr (y, x)", zarr(("y", "x")), Read(MAP))
+add("zarr (x, y) is turned", zarr(("x", "y")), Read(MAP))
+add("zarr unit that is no length", zarr(("y", "x"), units="kPa"), Refused("'kPa'"))
+add("nifti is (x, y)", nifti, Read(MAP, 0.02 * np.arange(5), 0.03 * np.arange(4)), variable=None)
+add("raw with a sidecar", raw, Read(MAP))
+for fmt, write in NETCDF.items():
+    parts = named("L1", (1000 * MAP).astype("i4"), units="um")
+    add(f"{fmt} whole numbers", stored(write, parts), Refused("whole numbers"))
+    parts = {"L0": (("y", "x"), MAP + 0.1, {}), "L1": (("y", "x"), MAP, {})}
+    add(f"{fmt} two maps", stored(write, parts), Refused("more than one array"))
+    add(f"{fmt} named map of two", stored(write, parts), Read(MAP), variable="L1", **FIELD)
