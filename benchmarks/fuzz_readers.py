@@ -6,7 +6,7 @@
 Small valid files of every format (those of the tests) are damaged at random: bits, bytes, integers,
 truncation, splicing; and with knowledge of the format: numbers in XML, JSON, TOML and ``.npy``
 headers, members within zip archives that are packed again, the content of gzip and MATLAB zlib
-streams. Each is opened and read whole, in a process of its own so that a crash is seen too. Anything
+streams. Each is read whole, in a process of its own so that a crash is seen too. Anything
 but success or an InputError is a finding, and so is a case above the limits of time and memory.
 Findings are kept in ``--keep``. HDF5 files are opened directly, as by default, or with
 ``--untrusted`` tried out first in yet another process.
