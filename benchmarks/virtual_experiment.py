@@ -1,6 +1,12 @@
 """The paper's virtual experiments (figures 3, 5): time, published thickness, recovered stress.
 
 python benchmarks/virtual_experiment.py [SCENE ...] [--threads N] [--element-size MM]
+python benchmarks/virtual_experiment.py --random 40
+
+The second computes random scenes and tells how many arrive at the full compression: bodies of
+equal and other sizes, samples a tenth to ten times as stiff as the layer, with inclusions that are
+as much softer or stiffer again, reliefs, friction 0 to 0.5, and the softer body compressed by 10 to
+35 %.
 
 The published loaded thickness of the sinusoid is read from ../shared/data if it is there. The
 stress is recovered on elements 0.8 times as large as those of the experiment: on an imprint that is
@@ -18,7 +24,12 @@ import xarray as xr
 from scipy.ndimage import convolve1d
 
 from optical_palpation.errors import ConvergenceError
-from optical_palpation.experiment import ExperimentResult, read_scene, run_experiment
+from optical_palpation.experiment import (
+    ExperimentResult,
+    Scene,
+    read_scene,
+    run_experiment,
+)
 from optical_palpation.experiment.recovery import (
     recovered_stress,
     recovery_errors,
@@ -56,6 +67,87 @@ def against_published(result: ExperimentResult, element: float = 0.0) -> dict[st
     }
 
 
+def random_scene(seed: int) -> Scene:
+    """Draw a scene of 2,000 to 6,000 elements."""
+    rng = np.random.default_rng(seed)
+    thickness, below = rng.uniform(0.3, 0.7), rng.uniform(0.8, 2.0)
+    size = float(rng.uniform(2.0, 4.0))
+    base = float(10 ** rng.uniform(-1, 1))
+    strain, softer = rng.uniform(0.1, 0.35), min(1.0, base)
+    features = [{"kind": "box", "factor": base}]
+    for _ in range(rng.integers(0, 4)):
+        features.append(
+            {
+                "kind": "ellipsoid",
+                "factor": base * float(10 ** rng.uniform(-1, 1)),
+                "centre": [*rng.uniform(0.1 * size, 0.9 * size, 2), rng.uniform(0.1, 0.6) * below],
+                "radii": [*rng.uniform(0.15, 0.6, 2), rng.uniform(0.1, 0.4)],
+            }
+        )
+    height = float(rng.uniform(0, 0.25) * thickness)
+    relief: list[dict] = []
+    if rng.random() < 0.5:
+        direction, wavelength = rng.uniform(0, 180), rng.uniform(0.8, 2.0)
+        relief.append(
+            {
+                "kind": "sinusoid",
+                "amplitude": height,
+                "wavelength": wavelength,
+                "direction": direction,
+            }
+        )
+    elif rng.random() < 0.7:
+        relief.append(
+            {
+                "kind": "random",
+                "rms": 0.4 * height + 1e-3,
+                "correlation_length": rng.uniform(0.4, 1.0),
+                "seed": seed,
+            }
+        )
+    friction = dict(zip(("window", "sample", "plate"), rng.uniform(0, 0.5, 3), strict=True))
+    for name in friction:
+        friction[name] *= float(rng.random() > 0.15)
+    return Scene.model_validate(
+        {
+            "title": f"random scene {seed}",
+            "compression": strain * softer * (thickness + below / base) + 0.5 * height,
+            "layer": {"size": (size, size), "thickness": thickness},
+            "sample": {
+                "size": (size * rng.choice([1.0, 1.0, 0.7, 1.3]),) * 2,
+                "thickness": below,
+                "relief": relief,
+                "stiffness": features,
+            },
+            "friction": friction,
+            "mesh": {"element_size": size / rng.integers(16, 25)},
+        }
+    )
+
+
+def arrivals(count: int, threads: int | None) -> None:
+    """Compute random scenes and print how each went."""
+    arrived = 0
+    for seed in range(count):
+        scene = random_scene(seed)
+        start, used = time.perf_counter(), time.process_time()
+        try:
+            attrs = run_experiment(scene, threads=threads).maps.attrs
+        except ConvergenceError as failure:
+            result = str(failure)
+        else:
+            arrived += 1
+            result = (
+                f"{sum(attrs['elements']):5} elements, {attrs['window_force_mN']:8.2f} mN, "
+                f"balance {attrs['force_balance']:.0e}, {attrs['newton_iterations']} iterations"
+            )
+        seconds = (
+            f"{time.perf_counter() - start:.1f} s, {time.process_time() - used:.1f} s of cores"
+        )
+        print(f"{seed:3}: {result}, {seconds}", flush=True)
+    print(f"{arrived} of {count} arrive")
+
+
 def main() -> None:
     """Run the scenes and print what they show."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -63,7 +155,11 @@ def main() -> None:
     parser.add_argument("--threads", type=int)
     parser.add_argument("--element-size", type=float)
     parser.add_argument("--output", type=Path, help="folder for results and figures")
+    parser.add_argument("--random", type=int, help="compute so many random scenes instead")
     options = parser.parse_args()
+    if options.random:
+        arrivals(options.random, options.threads)
+        return
     for name in options.scenes:
         scene = read_scene(name)
         if options.element_size:

@@ -8,11 +8,11 @@ import xarray as xr
 
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.experiment import Scene, read_scene, run_experiment, scene_names, virtual
-from optical_palpation.experiment import path as load_path
-from optical_palpation.experiment.assembly import at_rest, build
-from optical_palpation.experiment.equilibrium import LAYER
+from optical_palpation.experiment.assembly import build
 from optical_palpation.experiment.scene import _random_field, with_element_size
 from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics.stack import path as load_path
+from optical_palpation.mechanics.stack.problem import LAYER, at_rest
 from optical_palpation.palpation import computational_stress
 from optical_palpation.thickness import clean_thickness
 
@@ -248,9 +248,9 @@ def test_forces_of_the_interface_balance_and_so_do_their_moments():
     u = state.u.copy()
     u[assembly.bodies[LAYER].n_nodes :] += (0.031, -0.017, -0.06)
     position = assembly.position(u)
-    meeting = assembly.meet(position, 0.0)[1]
-    assert np.allclose(meeting.weights.sum(1), 0, atol=1e-12)
-    assert np.allclose(meeting.lateral(position), 0, atol=1e-9)
+    projection = assembly.project(position, 0.0)[1]
+    assert np.allclose(projection.weights.sum(1), 0, atol=1e-12)
+    assert np.allclose(projection.lateral(position), 0, atol=1e-9)
 
 
 def test_a_soft_sample_carries_the_layer_outwards_and_a_stiff_one_holds_it():

@@ -11,10 +11,7 @@ from numpy.testing import assert_allclose
 
 from optical_palpation.errors import InputError
 from optical_palpation.experiment import Scene, run_experiment
-from optical_palpation.experiment import equilibrium as stack
-from optical_palpation.experiment.assembly import at_rest, build, column_forces
-from optical_palpation.experiment.equilibrium import INTERFACE, LAYER, SAMPLE
-from optical_palpation.experiment.path import StepControl, follow
+from optical_palpation.experiment.assembly import build
 from optical_palpation.experiment.recovery import (
     recovered_stress,
     recovery_errors,
@@ -25,7 +22,17 @@ from optical_palpation.mechanics.cascade import make_solver, solve
 from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import Tolerances, balance, equilibrate
+from optical_palpation.mechanics.path import StepControl
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
+from optical_palpation.mechanics.stack import newton as stack_newton
+from optical_palpation.mechanics.stack.path import follow
+from optical_palpation.mechanics.stack.problem import (
+    INTERFACE,
+    LAYER,
+    SAMPLE,
+    at_rest,
+    column_forces,
+)
 from optical_palpation.palpation import computational_stress, read_sample_motion, uniform_motion
 from optical_palpation.palpation.motion import match_sample_motion
 from optical_palpation.present import read_result
@@ -169,7 +176,7 @@ def seen_surface(assembly, u, pixels):
         interface, slaves=number.reshape(2 * (pixels.size,)), start=np.stack(start, axis=1)
     )
     level = np.stack([x, y, np.full(x.size, 0.3)], axis=1)
-    met = points.meet(np.concatenate([assembly.position(u), level]))
+    met = points.project(np.concatenate([assembly.position(u), level]))
     moved = -met.lateral(np.concatenate([u, np.zeros_like(level)]))
     return (0.3 - met.penetration).reshape(number.size // pixels.size, -1), moved.T.reshape(
         2, pixels.size, -1
@@ -190,7 +197,7 @@ def test_the_layer_alone_on_the_moving_surface_is_the_layer_of_the_experiment():
         assembly,
         at_rest(assembly),
         column_forces(assembly),
-        stack.make_solver(assembly),
+        stack_newton.make_solver(assembly),
         control=StepControl(1.0),
     )
     assert len(path.record) == 1

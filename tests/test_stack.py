@@ -6,16 +6,11 @@ import numpy as np
 import pytest
 
 from optical_palpation.experiment import Scene
-from optical_palpation.experiment.assembly import at_rest, build, column_forces
-from optical_palpation.experiment.equilibrium import (
-    INTERFACE,
-    LAYER,
-    balance,
-    make_solver,
-    newton_step,
-)
-from optical_palpation.experiment.path import follow
-from optical_palpation.mechanics import stack
+from optical_palpation.experiment.assembly import build
+from optical_palpation.mechanics.stack import linear, newton
+from optical_palpation.mechanics.stack.newton import balance, make_solver, newton_step
+from optical_palpation.mechanics.stack.path import follow
+from optical_palpation.mechanics.stack.problem import INTERFACE, LAYER, at_rest, column_forces
 
 SCENE = {
     "compression": 0.2,
@@ -71,19 +66,15 @@ class Exact:
 )
 def test_step_is_that_of_the_derivative_of_all_residuals(sample, monkeypatch):
     """Along a Newton step every residual falls in proportion: friction, follower loads, sliding."""
-    monkeypatch.setattr(stack, "_LONGEST", 150)
+    monkeypatch.setattr(linear, "_LONGEST", 150)
+    monkeypatch.setattr(newton, "_HOLD", 0.0)  # stiffness that is in the tangent alone
     assembly, state = pressed(**sample)
     now = balance(assembly, state)
     assert (np.abs(now.terms[INTERFACE].slip) > 0.3).any()
-    du, dp, dn, _ = newton_step(assembly, state, now, Exact(make_solver(assembly)))
+    du, dp, dn, _ = newton_step(assembly, now, Exact(make_solver(assembly)))
 
     def at(fraction):
-        moved = state.moved(
-            state.u + fraction * du,
-            tuple(p + fraction * d for p, d in zip(state.p, dp, strict=True)),
-            tuple(n + fraction * d for n, d in zip(state.forces, dn, strict=True)),
-        )
-        return residuals(assembly, moved)
+        return residuals(assembly, state.stepped(fraction, du, dp, dn))
 
     small = 1e-4
     for here, up, down, limit in zip(
@@ -97,7 +88,7 @@ def test_step_is_that_of_the_derivative_of_all_residuals(sample, monkeypatch):
 def test_few_iterations_whatever_the_stiffness(factor):
     assembly, state = pressed(stiffness=({"kind": "box", "factor": factor},))
     now = balance(assembly, state)
-    *_, iterations = newton_step(assembly, state, now, make_solver(assembly))
+    *_, iterations = newton_step(assembly, now, make_solver(assembly))
     assert iterations <= 12
 
 
@@ -106,4 +97,4 @@ def test_grids_that_do_not_fit_are_refused():
     layer, sample = assembly.bodies
     other = replace(layer, grid=replace(layer.grid, x=1.01 * layer.grid.x))
     with pytest.raises(ValueError, match="lateral nodes"):
-        stack.StackSolver((other, sample), LAYER)
+        linear.StackSolver((other, sample), LAYER)

@@ -5,21 +5,14 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
 from optical_palpation.errors import InputError
-from optical_palpation.experiment.contact import ContactState, Sides
-from optical_palpation.experiment.equilibrium import (
-    INTERFACE,
-    LAYER,
-    SAMPLE,
-    Assembly,
-    State,
-)
-from optical_palpation.experiment.meeting import Interface, Plane
 from optical_palpation.experiment.scene import Scene, map_height, volume_factor
 from optical_palpation.mechanics.body import Body
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
+from optical_palpation.mechanics.stack.contact import Sides
+from optical_palpation.mechanics.stack.problem import Stack
+from optical_palpation.mechanics.stack.projection import Interface, Plane
 
 Array = NDArray[np.float64]
 _GROWTH_OUTSIDE = 1.3  # of the layer's elements beyond the sample
@@ -31,7 +24,7 @@ def build(
     coarsening: float = 1.0,
     relief: xr.DataArray | None = None,
     stiffness: xr.DataArray | None = None,
-) -> Assembly:
+) -> Stack:
     """Mesh a scene with elements ``coarsening`` times as large as it asks for."""
     layer, sample, mesh = scene.layer, scene.sample, scene.mesh
     size = coarsening * mesh.element_size
@@ -86,7 +79,7 @@ def build(
     )
     element_height, _, width = layer_grid.spacing
     window, interface, base = (grid.surface_areas(nodes).ravel() for grid, nodes in surfaces)
-    return Assembly(
+    return Stack(
         bodies=(bodies_layer, bodies_sample),
         contacts=(
             Plane(number[0].ravel(), -1.0, friction.window),
@@ -103,46 +96,6 @@ def build(
         plate=float(plate),
         compression=scene.compression,
         slip_length=2e-3 * layer.thickness,
-    )
-
-
-def at_rest(assembly: Assembly) -> State:
-    """Return the unloaded state."""
-    u = np.zeros((assembly.n_nodes, 3))
-    position = assembly.position(u)
-    return State(
-        load=0.0,
-        u=u,
-        p=(
-            np.zeros(assembly.bodies[LAYER].grid.shape),
-            np.zeros(assembly.bodies[SAMPLE].grid.shape),
-        ),
-        contacts=tuple(
-            ContactState.resting(meeting, position, np.zeros(meeting.penetration.size))
-            for meeting in assembly.meet(position, 0.0)
-        ),
-    )
-
-
-def column_forces(assembly: Assembly) -> tuple[Array, ...]:
-    """Contact forces at full load if every column of layer and sample were a spring of its own."""
-    layer, sample = assembly.bodies
-    thickness = layer.grid.thickness[0, 0]
-    height = np.diff(sample.grid.depth)[:, None, None]
-    nodal = np.pad(1 / sample.factor, ((0, 0), (0, 1), (0, 1)), mode="edge")
-    compliance = thickness / (3 * layer.law.shear_modulus)
-    compliance = compliance + sample.grid.thickness * (height * nodal).sum(0) / (
-        3 * sample.law.shear_modulus
-    )
-    pressure = np.maximum(assembly.compression - (sample.top - thickness), 0.0) / compliance
-    on_sample = RegularGridInterpolator(
-        (sample.grid.y, sample.grid.x), pressure, "nearest", bounds_error=False, fill_value=0.0
-    )
-    on_layer = on_sample(np.stack(np.meshgrid(layer.grid.y, layer.grid.x, indexing="ij"), -1))
-    of_slaves = on_layer if assembly.slave_grids[INTERFACE] is layer.grid else pressure
-    return tuple(
-        p.ravel() * area
-        for p, area in zip((on_layer, of_slaves, pressure), assembly.areas, strict=True)
     )
 
 

@@ -1,4 +1,4 @@
-"""What a loaded assembly shows: thickness as OCT would see it, and the true stress."""
+"""What a loaded stack shows: thickness as OCT would see it, and the true stress."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
-from optical_palpation.experiment.contact import friction_memory, touching
-from optical_palpation.experiment.equilibrium import (
+from optical_palpation.mechanics.contact import area_vectors
+from optical_palpation.mechanics.grid import LayerGrid, node_positions
+from optical_palpation.mechanics.stack.contact import friction_memory, touching
+from optical_palpation.mechanics.stack.problem import (
     INTERFACE,
     LAYER,
     PLATE,
     SAMPLE,
     WINDOW,
-    Assembly,
+    Stack,
     State,
 )
-from optical_palpation.mechanics.contact import area_vectors
-from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.palpation.computational import SLIP_SHARE, _surface_axial_stress
 from optical_palpation.palpation.result import ContactState
 
@@ -37,13 +37,13 @@ _STRESSES = {
 }
 
 
-def pixels(assembly: Assembly, state: State, spacing: float) -> tuple[Array, Array]:
+def pixels(stack: Stack, state: State, spacing: float) -> tuple[Array, Array]:
     """Positions x and y of pixels about ``spacing`` apart that show all of the loaded layer.
 
     They have pixels on the edges of the unloaded layer, and reach beyond it as far as it bulges.
     """
-    body = assembly.bodies[LAYER]
-    surface = (body.nodes + assembly.split(state.u)[LAYER])[:2, -1]
+    body = stack.bodies[LAYER]
+    surface = (body.nodes + stack.split(state.u)[LAYER])[:2, -1]
     axes = []
     for positions, nodes in zip(surface, (body.grid.x, body.grid.y), strict=True):
         inside = node_positions(nodes[-1] - nodes[0], spacing, nodes[0])
@@ -54,14 +54,14 @@ def pixels(assembly: Assembly, state: State, spacing: float) -> tuple[Array, Arr
     return axes[0], axes[1]
 
 
-def observed_maps(assembly: Assembly, state: State, x: Array, y: Array) -> xr.Dataset:
+def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
     """Maps at laboratory points ``x``, ``y``, mm; NaN where there is no layer.
 
     The motion of the sample is given everywhere, beyond its edge as that of the edge.
     """
-    body = assembly.bodies[LAYER]
+    body = stack.bodies[LAYER]
     grid = body.grid
-    u = assembly.split(state.u)[LAYER]
+    u = stack.split(state.u)[LAYER]
     position = body.nodes + u
     force = body.forces(u, state.p[LAYER]).force[:, -1]
     surface = position[:, -1]
@@ -90,8 +90,8 @@ def observed_maps(assembly: Assembly, state: State, x: Array, y: Array) -> xr.Da
     for name, values in (("unloaded_thickness", unloaded), ("loaded_thickness", thickness)):
         text = name.replace("_", " ") + " of the layer"
         maps[name] = (("y", "x"), values, {**millimetres, "long_name": text})
-    below = assembly.bodies[SAMPLE]
-    moved = assembly.split(state.u)[SAMPLE][:, 0]
+    below = stack.bodies[SAMPLE]
+    moved = stack.split(state.u)[SAMPLE][:, 0]
     at_layer, _ = _material_points(below.grid, below.nodes[:, 0] + moved, target)
     for component, axis in zip(moved, "xy", strict=False):
         text = f"lateral displacement of the sample's surface, {axis}"
@@ -106,37 +106,37 @@ def observed_maps(assembly: Assembly, state: State, x: Array, y: Array) -> xr.Da
         values[outside] = np.nan
         maps[name] = (("y", "x"), values, {"units": "kPa", "long_name": text})
     for name, contact in (("contact_state", INTERFACE), ("window_contact_state", WINDOW)):
-        slaves = assembly.contacts[contact].slaves.ravel()
-        lateral = assembly.position(state.u)[slaves, :2]
+        slaves = stack.contacts[contact].slaves.ravel()
+        lateral = stack.position(state.u)[slaves, :2]
         distance, nearest = cKDTree(lateral[:, ::-1]).query(target)
-        values = contact_states(assembly, state, contact)[nearest]
-        reach = np.sqrt(assembly.areas[contact])[nearest]
+        values = contact_states(stack, state, contact)[nearest]
+        reach = np.sqrt(stack.areas[contact])[nearest]
         values = np.where(distance < reach, values, ContactState.OPEN).astype(np.int8)
         maps[name] = (("y", "x"), values, {"long_name": name.replace("_", " "), **_FLAGS})
     return maps
 
 
-def contact_states(assembly: Assembly, state: State, contact: int) -> NDArray[np.int8]:
+def contact_states(stack: Stack, state: State, contact: int) -> NDArray[np.int8]:
     """State of each slave of a contact, a :class:`ContactState`."""
-    position = assembly.position(state.u)
+    position = stack.position(state.u)
     own = state.contacts[contact]
-    meeting = assembly.meet(position, state.load)[contact]
-    w = friction_memory(own, position, assembly.slip_length)
+    projection = stack.project(position, state.load)[contact]
+    w = friction_memory(own, position, stack.slip_length)
     share = np.sqrt((w**2).sum(1) / (1 + (w**2).sum(1)))
-    if assembly.contacts[contact].friction == 0:
+    if stack.contacts[contact].friction == 0:
         share[:] = 1.0
     states = np.where(share < SLIP_SHARE, ContactState.STICK, ContactState.SLIP)
-    closed = touching(meeting, own, assembly.scales[contact])
+    closed = touching(projection, own, stack.scales[contact])
     return np.where(closed, states, ContactState.OPEN).astype(np.int8)
 
 
-def body_dataset(assembly: Assembly, state: State, which: int) -> xr.Dataset:
+def body_dataset(stack: Stack, state: State, which: int) -> xr.Dataset:
     """The deformed layer or sample, in the form of ``StressResult.layer``.
 
     Of the sample, ``window_...`` is its face towards the window, ``sample_...`` that at the plate.
     """
-    body = assembly.bodies[which]
-    u, p = assembly.split(state.u)[which], state.p[which]
+    body = stack.bodies[which]
+    u, p = stack.split(state.u)[which], state.p[which]
     position = body.nodes + u
     force = body.forces(u, p).force
     own = {LAYER: (WINDOW, INTERFACE), SAMPLE: (INTERFACE, PLATE)}[which]
@@ -167,10 +167,10 @@ def body_dataset(assembly: Assembly, state: State, which: int) -> xr.Dataset:
         variables[f"{face}_traction"] = variable(
             "y x component", np.moveaxis(traction, 0, -1), "kPa", f"traction, {face} side"
         )
-        if assembly.slave_grids[contact] is body.grid:
-            states = contact_states(assembly, state, contact).reshape(traction.shape[1:])
+        if stack.slave_grids[contact] is body.grid:
+            states = contact_states(stack, state, contact).reshape(traction.shape[1:])
         else:
-            pressed = np.abs(traction[2]) > 2e-3 * assembly.shear_modulus
+            pressed = np.abs(traction[2]) > 2e-3 * stack.shear_modulus
             states = np.where(pressed, ContactState.SLIP, ContactState.OPEN).astype(np.int8)
         variables[f"{face}_contact_state"] = (("y", "x"), states, _FLAGS)
     return xr.Dataset(
@@ -193,9 +193,11 @@ def _material_points(
     shift = RegularGridInterpolator((grid.y, grid.x), moved)
     lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
     reference = target.copy()
-    for _ in range(60):
-        reference = target - shift(np.clip(reference, lower, upper))
     tolerance = 1e-6 * (upper - lower)
+    for _ in range(60):
+        before, reference = reference, target - shift(np.clip(reference, lower, upper))
+        if (np.abs(reference - before) < 1e-6 * tolerance).all():
+            break
     outside = ((reference < lower - tolerance) | (reference > upper + tolerance)).any(-1)
     return np.clip(reference, lower, upper), outside
 

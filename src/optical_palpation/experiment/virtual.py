@@ -10,11 +10,11 @@ import xarray as xr
 
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.experiment.assembly import build
-from optical_palpation.experiment.cascade import solve
-from optical_palpation.experiment.equilibrium import LAYER, SAMPLE, Assembly
 from optical_palpation.experiment.observe import body_dataset, observed_maps, pixels
-from optical_palpation.experiment.path import LoadNotReached
 from optical_palpation.experiment.scene import Scene
+from optical_palpation.mechanics.path import LoadNotReached
+from optical_palpation.mechanics.stack.cascade import solve
+from optical_palpation.mechanics.stack.problem import LAYER, SAMPLE, Stack
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.computational import Progress
 from optical_palpation.palpation.threads import limited_threads
@@ -93,7 +93,7 @@ def run_experiment(
     _check(scene)
     newton = 0
 
-    def report(level: Assembly, load: float, _: object) -> None:
+    def report(level: Stack, load: float, _: object) -> None:
         nonlocal newton
         newton += 1
         if progress:
@@ -116,10 +116,10 @@ def run_experiment(
             f"{scene.compression:g} mm only: {failure.reason}. Try less compression, a flatter "
             "relief, smaller elements or less contrast of stiffness"
         ) from None
-    assembly, state = levels[-1], path.state
+    stack, state = levels[-1], path.state
 
-    x, y = pixels(assembly, state, scene.pixel_spacing or 0.2 * scene.mesh.element_size)
-    maps = observed_maps(assembly, state, x, y)
+    x, y = pixels(stack, state, scene.pixel_spacing or 0.2 * scene.mesh.element_size)
+    maps = observed_maps(stack, state, x, y)
     loaded = thickness_map(
         maps["loaded_thickness"].values,
         x=x,
@@ -132,7 +132,7 @@ def run_experiment(
         maps["loaded_thickness"], scene.layer.thickness, scene.layer.material
     )
     window, interface, plate = (float(force.sum()) for force in state.forces)
-    window += float(assembly.sides.force(assembly.position(state.u))[0].sum())
+    window += float(stack.sides.force(stack.position(state.u))[0].sum())
     maps.attrs = {
         "method": "virtual experiment",
         **scene.layer.material.attributes,
@@ -144,7 +144,7 @@ def run_experiment(
         "sample_force_mN": interface,
         "plate_force_mN": plate,
         "force_balance": (max(window, interface, plate) - min(window, interface, plate)) / window,
-        "elements": [body.grid.n_elements for body in assembly.bodies],
+        "elements": [body.grid.n_elements for body in stack.bodies],
         "newton_iterations": sum(entry[2] for entry in path.record),
         "convergence": json.dumps(
             [
@@ -155,7 +155,7 @@ def run_experiment(
         "scene": scene.model_dump_json(),
     }
     return ExperimentResult(
-        maps, body_dataset(assembly, state, LAYER), body_dataset(assembly, state, SAMPLE), scene
+        maps, body_dataset(stack, state, LAYER), body_dataset(stack, state, SAMPLE), scene
     )
 
 

@@ -23,7 +23,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from optical_palpation.mechanics.contact import area_vectors, turning_stiffness
+from ..contact import area_vectors, turning_stiffness
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -36,7 +36,7 @@ _REACH = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Meeting:
+class Projection:
     """Where the n slaves of a contact are on what they meet, q nodes taking part in each.
 
     ``nodes`` (n, q) and ``weights`` W (n, q), slave first; ``gradient`` (n, q, 2) of the weights by
@@ -67,11 +67,11 @@ class Plane:
     sign: float
     friction: float
 
-    def meet(self, position: Array, height: float) -> Meeting:
+    def project(self, position: Array, height: float) -> Projection:
         """Return where the slaves are on the plane z = ``height``."""
         n = self.slaves.size
         direction = np.tile([0.0, 0.0, -self.sign], (n, 1))
-        return Meeting(
+        return Projection(
             nodes=self.slaves[:, None],
             weights=np.ones((n, 1)),
             gradient=np.zeros((n, 1, 2)),
@@ -96,7 +96,7 @@ class Interface:
     start: Array
     element: float
 
-    def meet(self, position: Array) -> Meeting:
+    def project(self, position: Array) -> Projection:
         """Return where the slaves are on the master's surface."""
         numbers = self.slaves.ravel()
         n = numbers.size
@@ -125,7 +125,7 @@ class Interface:
         around = np.pad(self.slaves, 1, mode="edge")
         ny, nx = self.slaves.shape
         neighbours = [around[j : j + ny, i : i + nx].ravel() for j in range(3) for i in range(3)]
-        return Meeting(
+        return Projection(
             nodes=nodes,
             weights=weights,
             gradient=gradient,

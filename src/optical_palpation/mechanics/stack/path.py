@@ -1,4 +1,4 @@
-"""The load path: from the unloaded assembly to the full travel of the plate."""
+"""The load path: from the unloaded stack to the full travel of the plate."""
 
 from __future__ import annotations
 
@@ -8,38 +8,30 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from optical_palpation.experiment.contact import remembered
-from optical_palpation.experiment.equilibrium import (
-    LAYER,
-    Assembly,
-    Balance,
-    NotConverged,
-    State,
-    equilibrate,
-)
-from optical_palpation.mechanics.stack import StackSolver
+from ..newton import NotConverged, Tolerances
+from ..path import LoadNotReached, StepControl
+from .contact import remembered
+from .linear import StackSolver
+from .newton import Balance, equilibrate
+from .problem import LAYER, Stack, State
 
 Array = NDArray[np.float64]
 
-
-class LoadNotReached(Exception):
-    """The load path ended early; carries the load reached and the reason."""
-
-    def __init__(self, load: float, reason: str) -> None:
-        super().__init__(reason)
-        self.load, self.reason = load, reason
+#: When the full load is reached.
+TOLERANCES = Tolerances(force=1e-5, volume=1e-6)
+#: How much further from balance an equilibrium on the way may be.
+_ON_THE_WAY = 30.0
 
 
-@dataclass(frozen=True)
-class StepControl:
-    """Load increments, as fractions of the full load."""
-
-    first: float = 0.1
-    largest: float = 0.25
-    smallest: float = 2e-3
-    easy: int = 8
-    #: Newton iterations after which a load counts as not reached.
-    iterations: int = 25
+def tolerances(load: float) -> Tolerances:
+    """Return when a load is reached."""
+    if load == 1.0:
+        return TOLERANCES
+    return replace(
+        TOLERANCES,
+        force=_ON_THE_WAY * TOLERANCES.force,
+        volume=_ON_THE_WAY * TOLERANCES.volume,
+    )
 
 
 @dataclass
@@ -52,7 +44,7 @@ class Path:
 
 
 def follow(
-    assembly: Assembly,
+    stack: Stack,
     start: State,
     guess: tuple[Array, ...],
     solver: StackSolver,
@@ -89,32 +81,32 @@ def follow(
             )
         else:
             u = state.u.copy()
-            u[assembly.bodies[LAYER].n_nodes :, 2] -= load * assembly.compression
+            u[stack.bodies[LAYER].n_nodes :, 2] -= load * stack.compression
             trial = trial.moved(u, state.p, tuple(load * force for force in guess))
         try:
-            reached, count = equilibrate(assembly, trial, solver, on_iteration, control.iterations)
+            reached, count = equilibrate(stack, trial, solver, tolerances(load), on_iteration)
         except NotConverged as failure:
             step = 0.5 * (load - state.load)
             if step < control.smallest:
                 raise LoadNotReached(state.load, str(failure)) from None
             continue
-        record.append((assembly.n_elements, load, count))
+        record.append((stack.n_elements, load, count))
         if load == 1.0:
             return Path(reached, state, record)
         if count <= control.easy:
             step = min(control.largest, 1.5 * step)
-        before, state = state, remember(assembly, reached)
+        before, state = state, remember(stack, reached)
         if load == target:
             return Path(state, before, record)
 
 
-def remember(assembly: Assembly, state: State) -> State:
+def remember(stack: Stack, state: State) -> State:
     """Return the state from which the next load starts: friction remembers, anchors move."""
-    position = assembly.position(state.u)
+    position = stack.position(state.u)
     contacts = tuple(
-        remembered(meeting, contact, position, scale, assembly.slip_length)
-        for meeting, contact, scale in zip(
-            assembly.meet(position, state.load), state.contacts, assembly.scales, strict=True
+        remembered(projection, contact, position, scale, stack.slip_length)
+        for projection, contact, scale in zip(
+            stack.project(position, state.load), state.contacts, stack.scales, strict=True
         )
     )
     return replace(state, contacts=contacts)

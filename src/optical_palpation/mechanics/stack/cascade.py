@@ -8,21 +8,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from optical_palpation.experiment.assembly import at_rest, column_forces
-from optical_palpation.experiment.contact import ContactState
-from optical_palpation.experiment.equilibrium import (
-    Assembly,
-    Balance,
-    NotConverged,
-    State,
-    equilibrate,
-    make_solver,
-)
-from optical_palpation.experiment.path import LoadNotReached, Path, StepControl, follow
-from optical_palpation.mechanics.stack import StackSolver
+from ..newton import NotConverged
+from ..path import LoadNotReached, StepControl
+from .contact import ContactState
+from .linear import StackSolver
+from .newton import Balance, equilibrate, make_solver
+from .path import Path, follow, tolerances
+from .problem import Stack, State, at_rest, column_forces
 
 Array = NDArray[np.float64]
-Report = Callable[[Assembly, float, Balance], None]
+Report = Callable[[Stack, float, Balance], None]
 
 #: Fraction of the full load at which a solution changes meshes. Friction depends on the path, and
 #: what happens late, at the free edges above all, depends on the mesh.
@@ -31,7 +26,7 @@ _HANDOVER = 0.25
 _CHANGE_OF_MESH = 20.0
 
 
-def solve(levels: list[Assembly], report: Report | None = None) -> Path:
+def solve(levels: list[Stack], report: Report | None = None) -> Path:
     """Compress to the full travel; ``levels`` are meshes of one scene, coarse to fine.
 
     Raises
@@ -43,7 +38,7 @@ def solve(levels: list[Assembly], report: Report | None = None) -> Path:
     for n, level in enumerate(levels):
         target = 1.0 if level is levels[-1] else _HANDOVER
 
-        def on_iteration(load: float, now: Balance, level: Assembly = level) -> None:
+        def on_iteration(load: float, now: Balance, level: Stack = level) -> None:
             if report:
                 report(level, load, now)
 
@@ -64,8 +59,8 @@ def solve(levels: list[Assembly], report: Report | None = None) -> Path:
 
 def _carried(
     path: Path,
-    coarse: Assembly,
-    fine: Assembly,
+    coarse: Stack,
+    fine: Stack,
     solver: StackSolver,
     on_iteration: Callable[[float, Balance], None],
     target: float,
@@ -78,7 +73,7 @@ def _carried(
     # The bodies move by micrometres from one mesh to the next. That is no slip: they do so under a
     # friction that hardly feels it, and the memory is laid anew.
     soft = replace(fine, slip_length=_CHANGE_OF_MESH * fine.slip_length)
-    state, count = equilibrate(soft, state, solver, on_iteration)
+    state, count = equilibrate(soft, state, solver, tolerances(state.load), on_iteration)
     state = _anchored(state, fine)
     record = [*path.record, (fine.n_elements, state.load, count)]
     before = replace(state, load=before.load).moved(
@@ -93,7 +88,7 @@ def _carried(
     return Path(rest.state, rest.previous, record + rest.record)
 
 
-def _prolonged(state: State, coarse: Assembly, fine: Assembly) -> State:
+def _prolonged(state: State, coarse: Stack, fine: Stack) -> State:
     """Interpolate a state to another mesh of the same scene."""
     pairs = list(zip(fine.bodies, coarse.bodies, strict=True))
     fields = [
@@ -119,21 +114,21 @@ def _prolonged(state: State, coarse: Assembly, fine: Assembly) -> State:
         u=u,
         p=(p[0], p[1]),
         contacts=tuple(
-            ContactState(force, memory, meeting, meeting.lateral(position))
-            for (force, memory), meeting in zip(
-                contacts, fine.meet(position, state.load), strict=True
+            ContactState(force, memory, projection, projection.lateral(position))
+            for (force, memory), projection in zip(
+                contacts, fine.project(position, state.load), strict=True
             )
         ),
     )
 
 
-def _anchored(state: State, assembly: Assembly) -> State:
+def _anchored(state: State, stack: Stack) -> State:
     """Return the state with the anchors where it is and the friction memory it had."""
-    position = assembly.position(state.u)
+    position = stack.position(state.u)
     contacts = tuple(
-        replace(contact, anchor=meeting, offset=meeting.lateral(position))
-        for contact, meeting in zip(
-            state.contacts, assembly.meet(position, state.load), strict=True
+        replace(contact, anchor=projection, offset=projection.lateral(position))
+        for contact, projection in zip(
+            state.contacts, stack.project(position, state.load), strict=True
         )
     )
     return replace(state, contacts=contacts)

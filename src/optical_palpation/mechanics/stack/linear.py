@@ -25,11 +25,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from .body import Body
-from .krylov import gmres
-from .multigrid import Hierarchy
-from .schur import SchurComplement
-from .stencil import (
+from ..body import Body
+from ..krylov import gmres
+from ..multigrid import Hierarchy
+from ..schur import SchurComplement
+from ..stencil import (
     constrain,
     empty_stencil,
     halo_zeros,
@@ -39,7 +39,7 @@ from .stencil import (
     subtract_product,
     threads_for,
 )
-from .system import gather_divergence, scatter_divergence
+from ..system import gather_divergence, scatter_divergence
 
 Array = NDArray[np.float64]
 Vector = NDArray[np.float32]
@@ -70,7 +70,7 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
-class Interface:
+class Coupling:
     """How the slaves, the nodes of a face, hang on the master's face of the other body.
 
     Numbers of nodes are those on the faces. ``surface`` is the linearised contact of the slaves,
@@ -118,7 +118,7 @@ class StackEquations:
 
     bodies: tuple[BodyEquations, BodyEquations]
     outer: tuple[Surface, Surface]
-    interface: Interface
+    interface: Coupling
 
 
 @dataclass(frozen=True, eq=False)
@@ -465,7 +465,7 @@ class _System:
 class _Link:
     """The interface's part in changes of unknowns and in products."""
 
-    def __init__(self, solver: StackSolver, interface: Interface) -> None:
+    def __init__(self, solver: StackSolver, interface: Coupling) -> None:
         self.slave, self.master = solver.slave, solver.master
         self.k_slave, self.k_master = (solver.facing[b] for b in (self.slave, self.master))
         surface = interface.surface

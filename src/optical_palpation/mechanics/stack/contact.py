@@ -1,4 +1,4 @@
-"""The laws of contact and friction of slaves with what they meet (``experiment.meeting``).
+"""The laws of contact and friction of slaves with what they meet (``projection``).
 
 They are those of the layer's own solver (``mechanics.contact``): the law of contact N = S(N +
 c phi) with the vertical force N as unknown, and Coulomb's smoothed law in the x-y plane, linearised
@@ -15,16 +15,15 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from optical_palpation.experiment.meeting import Meeting
-from optical_palpation.mechanics.contact import (
+from ..contact import (
     area_vectors,
     direction_step,
     friction_direction,
     side_penalty,
     smooth_maximum,
 )
-from optical_palpation.mechanics.stack import Interface as LinearInterface
-from optical_palpation.mechanics.stack import Surface
+from .linear import Coupling, Surface
+from .projection import Projection
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -47,13 +46,13 @@ class ContactState:
 
     force: Array
     memory: Array
-    anchor: Meeting
+    anchor: Projection
     offset: Array
 
     @classmethod
-    def resting(cls, meeting: Meeting, position: Array, force: Array) -> ContactState:
+    def resting(cls, projection: Projection, position: Array, force: Array) -> ContactState:
         """Return a contact with forces and without friction."""
-        return cls(force, np.zeros((force.size, 2)), meeting, meeting.lateral(position))
+        return cls(force, np.zeros((force.size, 2)), projection, projection.lateral(position))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +65,7 @@ class ContactTerms:
     ``slip`` (n, 2) the w of its law.
     """
 
-    meeting: Meeting
+    projection: Projection
     state: ContactState
     residual: Array
     violation: Array
@@ -81,9 +80,9 @@ class ContactTerms:
     @property
     def rows(self) -> Array:
         """What a unit of N puts on the nodes (n, q, 3)."""
-        meeting = self.meeting
-        rows = -meeting.weights[:, :, None] * meeting.push[:, None, :]
-        rows[:, :, :2] += meeting.weights[:, :, None] * self.sliding[:, None, :]
+        projection = self.projection
+        rows = -projection.weights[:, :, None] * projection.push[:, None, :]
+        rows[:, :, :2] += projection.weights[:, :, None] * self.sliding[:, None, :]
         return rows
 
     def turn(self, du: Array, direction: Array, slip_length: float) -> Array:
@@ -92,7 +91,7 @@ class ContactTerms:
 
     def surface(self, shape: tuple[int, int]) -> Surface:
         """Return the contact as the linear solver takes it; ``shape`` is that of the slaves."""
-        push, direction = self.meeting.push, self.meeting.direction
+        push, direction = self.projection.push, self.projection.direction
 
         def on_face(values: NDArray[Any]) -> NDArray[Any]:
             return np.moveaxis(values, 0, -1).reshape(*values.shape[1:], *shape)
@@ -107,33 +106,33 @@ class ContactTerms:
             step=on_face(-self.step / direction[:, 2]),
         )
 
-    def interface(self, slaves: Numbers, master: Numbers, position: Array) -> LinearInterface:
+    def coupling(self, slaves: Numbers, master: Numbers, position: Array) -> Coupling:
         """Return the contact with the surface of another body as the linear solver takes it."""
-        meeting = self.meeting
+        projection = self.projection
         anchor, first = self.state.anchor, master.flat[0]
 
-        def matrix(at: Meeting, values: Array) -> sp.csr_matrix:
+        def matrix(at: Projection, values: Array) -> sp.csr_matrix:
             rows = np.repeat(np.arange(slaves.size), values.shape[1])
             entries = values.ravel(), (rows, at.nodes[:, 1:].ravel() - first)
             return sp.csr_matrix(entries, shape=(slaves.size, master.size))
 
         normal = np.maximum(self.state.force, 0.0)[:, None]
-        force = normal * meeting.push
+        force = normal * projection.push
         force[:, :2] -= normal * self.sliding
         area = area_vectors(np.moveaxis(position[master], -1, 0))
-        assert meeting.turning is not None
-        assert meeting.neighbours is not None
-        return LinearInterface(
+        assert projection.turning is not None
+        assert projection.neighbours is not None
+        return Coupling(
             surface=self.surface(slaves.shape),
-            weights=matrix(meeting, -meeting.weights[:, 1:]),
+            weights=matrix(projection, -projection.weights[:, 1:]),
             gradient=(
-                matrix(meeting, meeting.gradient[:, 1:, 0]),
-                matrix(meeting, meeting.gradient[:, 1:, 1]),
+                matrix(projection, projection.gradient[:, 1:, 0]),
+                matrix(projection, projection.gradient[:, 1:, 1]),
             ),
             reference=matrix(anchor, -anchor.weights[:, 1:]),
             force=force,
-            turning=normal[:, :, None, None] * meeting.turning,
-            neighbours=meeting.neighbours - slaves.flat[0],
+            turning=normal[:, :, None, None] * projection.turning,
+            neighbours=projection.neighbours - slaves.flat[0],
             slope=-area[:2] / area[2],
         )
 
@@ -158,7 +157,7 @@ class Sides:
 
 def linearise(
     friction: float,
-    meeting: Meeting,
+    projection: Projection,
     state: ContactState,
     position: Array,
     scale: Array,
@@ -171,7 +170,7 @@ def linearise(
     ``direction`` is that of friction, by default the one that belongs to the slip.
     """
     normal = state.force
-    t = normal + scale * meeting.penetration
+    t = normal + scale * projection.penetration
     value, other = smooth_maximum(t, smoothing)
     slope = 1 - other
     violation = normal - value
@@ -185,7 +184,7 @@ def linearise(
     turned = 0.5 * (s[:, :, None] * d[:, None, :] + d[:, :, None] * s[:, None, :])
     stiff = friction * np.maximum(normal, 0.0) / (slip_length * q)
     terms = ContactTerms(
-        meeting=meeting,
+        projection=projection,
         state=state,
         residual=np.empty(0),
         violation=violation,
@@ -200,9 +199,9 @@ def linearise(
     return replace(terms, residual=terms.rows * normal[:, None, None])
 
 
-def touching(meeting: Meeting, state: ContactState, scale: Array) -> NDArray[np.bool_]:
+def touching(projection: Projection, state: ContactState, scale: Array) -> NDArray[np.bool_]:
     """Return which slaves are in contact."""
-    return state.force > -scale * meeting.penetration
+    return state.force > -scale * projection.penetration
 
 
 def friction_memory(state: ContactState, position: Array, slip_length: float) -> Array:
@@ -211,11 +210,11 @@ def friction_memory(state: ContactState, position: Array, slip_length: float) ->
 
 
 def remembered(
-    meeting: Meeting, state: ContactState, position: Array, scale: Array, slip_length: float
+    projection: Projection, state: ContactState, position: Array, scale: Array, slip_length: float
 ) -> ContactState:
     """Return the state from which the next load starts."""
     w = friction_memory(state, position, slip_length)
     size = np.sqrt((w**2).sum(1, keepdims=True))
     w = w * np.minimum(1.0, _MEMORY / np.maximum(size, 1e-300))
-    w = np.where(touching(meeting, state, scale)[:, None], w, 0.0)
-    return ContactState(state.force, w, meeting, meeting.lateral(position))
+    w = np.where(touching(projection, state, scale)[:, None], w, 0.0)
+    return ContactState(state.force, w, projection, projection.lateral(position))

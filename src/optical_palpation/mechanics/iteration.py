@@ -1,0 +1,137 @@
+"""Newton's method with a line search and damping, of whatever can be linearised."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+from .newton import NotConverged, Tolerances
+
+
+class Iterate(Protocol):
+    """A state and how far it is from equilibrium.
+
+    ``imbalance`` is the 2-norm of all forces out of balance, mN, ``force_error`` its share of the
+    contact forces, ``volume_error`` the violation of J - 1 = p / K (root mean square),
+    ``min_jacobian`` the smallest J.
+    """
+
+    @property
+    def imbalance(self) -> float: ...  # noqa: D102
+    @property
+    def force_error(self) -> float: ...  # noqa: D102
+    @property
+    def volume_error(self) -> float: ...  # noqa: D102
+    @property
+    def min_jacobian(self) -> float: ...  # noqa: D102
+
+
+AnyIterate = TypeVar("AnyIterate", bound=Iterate)
+
+
+@dataclass(frozen=True)
+class Direction(Generic[AnyIterate]):
+    """A Newton step: where a fraction of it leads, and the Krylov iterations that it took."""
+
+    follow: Callable[[float], AnyIterate]
+    krylov: int
+
+
+#: A step must leave less out of balance than the most of so many iterations. Pressures that grow
+#: from nothing to what fits the layer between the surfaces, and friction that turns round, leave
+#: more for a step or two; steps cut short for that get nowhere.
+_MEMORY = 4
+#: How often a step is tried, with ever more damping.
+_ATTEMPTS = 6
+#: Share of its smallest volume ratio that a body must keep in a step.
+_FLATTENING = 0.3
+#: Newton iterations in which the error must fall, or a smaller load is tried.
+_STAGNATION = 12
+
+
+def iterate(
+    now: AnyIterate,
+    linearise: Callable[[AnyIterate, float], Direction[AnyIterate]],
+    tolerances: Tolerances,
+    least_damping: float,
+    on_iteration: Callable[[int, AnyIterate, int], None] | None = None,
+) -> tuple[AnyIterate, int]:
+    """Go on from an iterate until the tolerances are met; one step is taken at least.
+
+    Parameters
+    ----------
+    linearise
+        Returns the Newton step of an iterate, for a damping: a resistance to displacement in the
+        tangent alone, kPa / mm^2.
+    least_damping
+        What is tried first where the step as it is leads nowhere.
+    on_iteration
+        Called with the number of the iteration, the iterate and the Krylov iterations before it.
+
+    Returns
+    -------
+    tuple
+        The last iterate and the number of iterations.
+
+    Raises
+    ------
+    NotConverged
+        When the iterations run out, or no step leads nearer to equilibrium.
+    """
+    errors: list[float] = []
+    imbalances: list[float] = []
+    damping, krylov = 0.0, 0
+    for iteration in range(tolerances.iterations):
+        if on_iteration:
+            on_iteration(iteration, now, krylov)
+        errors.append(now.force_error)
+        imbalances.append(now.imbalance)
+        if iteration >= _STAGNATION and errors[-1] > 0.3 * errors[-_STAGNATION]:
+            raise NotConverged("Newton's method stagnates")
+        if iteration > 0 and _met(now, tolerances):
+            return now, iteration
+        krylov = 0
+        for _ in range(_ATTEMPTS):
+            step = linearise(now, damping)
+            krylov += step.krylov
+            # The first step crosses the new load and a damped one a snap: both may leave more out
+            # of balance than they found.
+            lenient = iteration == 0 or damping > 0
+            after = _search(now, step, max(imbalances[-_MEMORY:]), lenient)
+            if after is not None:
+                break
+            damping = max(least_damping, 5.0 * damping)
+        else:
+            raise NotConverged("no step leads nearer to equilibrium")
+        damping *= 0.5 * min(1.0, after.imbalance / now.imbalance)
+        if damping < 0.1 * least_damping:
+            damping = 0.0
+        now = after
+    if _met(now, tolerances):
+        return now, tolerances.iterations
+    raise NotConverged(f"no convergence in {tolerances.iterations} Newton iterations")
+
+
+def _met(now: Iterate, tolerances: Tolerances) -> bool:
+    return now.force_error < tolerances.force and now.volume_error < tolerances.volume
+
+
+def _search(
+    now: AnyIterate, step: Direction[AnyIterate], highest: float, lenient: bool
+) -> AnyIterate | None:
+    """Take the largest fraction of a step that leads on; None if there is none.
+
+    What it leaves out of balance must be less than ``highest``, the more so the larger the
+    fraction, or, where ``lenient``, less than twice that. Forces are compared, not shares of the
+    contact forces: a step that takes these away would never lead on.
+    """
+    for fraction in (1.0, 0.5, 0.25, 0.125):
+        after = step.follow(fraction)
+        growth = 2.0 if lenient else 1 - 0.3 * fraction
+        if (
+            after.min_jacobian > _FLATTENING * now.min_jacobian
+            and after.imbalance < growth * highest
+        ):
+            return after
+    return None

@@ -1,0 +1,207 @@
+"""Equilibrium of window, layer, sample and plate at one load, by Newton's method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..body import ElementForces
+from ..contact import friction_direction
+from ..iteration import Direction, iterate
+from ..newton import NotConverged, Tolerances
+from .contact import ContactTerms, friction_memory, linearise
+from .linear import BodyEquations, StackEquations, StackSolver
+from .problem import LAYER, PLATE, SAMPLE, WINDOW, Stack, State
+from .projection import Interface, Plane
+
+Array = NDArray[np.float64]
+
+#: Smoothing of contact, as a pressure in units of the shear modulus.
+_SMOOTHING = 1e-3
+#: Relative residual to which linear systems are solved.
+_LINEAR = 1e-2
+#: Stiffness, in shear moduli times an element's width, that holds each node.
+_HOLD = 1e-3
+#: Least damping of a step that otherwise fails, in shear moduli per height of the stack squared.
+_DAMPING = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """Internal forces and contact of a state, and how far it is from equilibrium.
+
+    ``directions`` are those of friction, unknowns of their own (see ``linearise``).
+    ``residual`` (n_nodes, 3) are the nodal forces out of balance, mN, ``imbalance`` the 2-norm of
+    these and of the violations of the laws of contact, mN; ``force_error`` its share of the contact
+    forces.
+    """
+
+    state: State
+    directions: Sequence[Array]
+    bodies: list[ElementForces]
+    terms: list[ContactTerms]
+    residual: Array
+    imbalance: float
+    force_error: float
+    volume_error: float
+    min_jacobian: float
+
+
+def balance(
+    stack: Stack,
+    state: State,
+    smoothing: float = _SMOOTHING,
+    directions: Sequence[Array] | None = None,
+) -> Balance:
+    """Evaluate equilibrium, incompressibility and contact of a state (see ``linearise``)."""
+    parts = [
+        body.forces(u, p)
+        for body, u, p in zip(stack.bodies, stack.split(state.u), state.p, strict=True)
+    ]
+    position = stack.position(state.u)
+    if directions is None:
+        directions = [
+            friction_direction(friction_memory(contact, position, stack.slip_length))
+            for contact in state.contacts
+        ]
+    terms = [
+        linearise(
+            contact.friction,
+            projection,
+            own,
+            position,
+            scale,
+            smoothing * stack.shear_modulus * area,
+            stack.slip_length,
+            direction,
+        )
+        for contact, projection, own, scale, area, direction in zip(
+            list[Plane | Interface](stack.contacts),
+            stack.project(position, state.load),
+            state.contacts,
+            stack.scales,
+            stack.areas,
+            directions,
+            strict=True,
+        )
+    ]
+    out = np.concatenate([part.force.reshape(3, -1).T for part in parts])
+    out[stack.sides.nodes, 2] -= stack.sides.force(position)[0]
+    for term in terms:
+        np.add.at(out, term.projection.nodes, term.residual)
+    scale = max(float(np.linalg.norm(np.concatenate(state.forces))), 1e-30)
+    violation = np.linalg.norm(np.concatenate([term.violation for term in terms]))
+    imbalance = float(np.hypot(np.linalg.norm(out), violation))
+    volume = np.concatenate(
+        [(part.volume_residual / part.reference_volume).ravel() for part in parts]
+    )
+    return Balance(
+        state=state,
+        directions=directions,
+        bodies=parts,
+        terms=terms,
+        residual=out,
+        imbalance=imbalance,
+        force_error=imbalance / scale,
+        volume_error=float(np.sqrt(np.mean(volume**2))),
+        min_jacobian=min(part.min_jacobian for part in parts),
+    )
+
+
+def newton_step(
+    stack: Stack, now: Balance, solver: StackSolver, damping: float = 0.0
+) -> tuple[Array, list[Array], list[Array], int]:
+    """Changes of displacement, pressures and contact forces, and the Krylov iterations.
+
+    ``damping``, kPa / mm^2, is a resistance of each volume of a stiffness factor of 1 to being
+    displaced by the step, in the tangent alone.
+    """
+    state = now.state
+    # A trace of stiffness in the tangent alone holds what nothing else holds: rounding errors would
+    # move it far.
+    hold = _HOLD * stack.shear_modulus * stack.bodies[LAYER].grid.spacing[2]
+    held = np.full((stack.n_nodes, 3), hold)
+    held[stack.sides.nodes, 2] += stack.sides.force(stack.position(state.u))[1]
+    if damping > 0:
+        volumes = [body.grid.node_volumes.ravel() for body in stack.bodies]
+        held += damping * np.concatenate(volumes)[:, None]
+    parts = zip(
+        stack.split(state.u),
+        state.p,
+        stack.split(now.residual),
+        stack.split(held),
+        now.bodies,
+        strict=True,
+    )
+    layer, sample = (
+        BodyEquations(u, p, residual, diagonal, part.volume_residual, part.reference_volume)
+        for u, p, residual, diagonal, part in parts
+    )
+    window, interface, plate = now.terms
+    _, contact, _ = stack.contacts
+    equations = StackEquations(
+        bodies=(layer, sample),
+        outer=(
+            window.surface(stack.slave_grids[WINDOW].node_shape[1:]),
+            plate.surface(stack.slave_grids[PLATE].node_shape[1:]),
+        ),
+        interface=interface.coupling(contact.slaves, contact.master, stack.position(state.u)),
+    )
+    step = solver.solve(equations, _LINEAR)
+    changes = [
+        reaction.ravel() / term.projection.push[:, 2]
+        for reaction, term in zip(step.reactions, now.terms, strict=True)
+    ]
+    du = np.concatenate([part.reshape(3, -1).T for part in step.displacement])
+    return du, step.pressure, changes, step.iterations
+
+
+def make_solver(stack: Stack) -> StackSolver:
+    """Return a linear solver for a stack."""
+    _, interface, _ = stack.contacts
+    return StackSolver(stack.bodies, LAYER if interface.side < 0 else SAMPLE)
+
+
+def equilibrate(
+    stack: Stack,
+    state: State,
+    solver: StackSolver,
+    tolerances: Tolerances,
+    on_iteration: Callable[[float, Balance], None] | None = None,
+) -> tuple[State, int]:
+    """Return the state in equilibrium at its load, and the number of Newton iterations.
+
+    Raises
+    ------
+    NotConverged
+        When the iterations run out, an element turns inside out or numbers overflow.
+    """
+
+    def report(_: int, now: Balance, __: int) -> None:
+        if on_iteration:
+            on_iteration(state.load, now)
+
+    def direction(now: Balance, damping: float) -> Direction[Balance]:
+        du, dp, dn, krylov = newton_step(stack, now, solver, damping)
+        if not np.isfinite(du).all():
+            raise NotConverged("the linear system could not be solved")
+        turns = [
+            term.turn(du, old, stack.slip_length)
+            for term, old in zip(now.terms, now.directions, strict=True)
+        ]
+
+        def follow(fraction: float) -> Balance:
+            turned = [d + fraction * turn for d, turn in zip(now.directions, turns, strict=True)]
+            turned = [d / np.maximum(1.0, np.linalg.norm(d, axis=1)[:, None]) for d in turned]
+            return balance(stack, now.state.stepped(fraction, du, dp, dn), directions=turned)
+
+        return Direction(follow, krylov)
+
+    least = _DAMPING * stack.shear_modulus / stack.plate**2
+    directions = [friction_direction(contact.memory) for contact in state.contacts]
+    start = balance(stack, state, directions=directions)
+    now, count = iterate(start, direction, tolerances, least, report)
+    return now.state, count

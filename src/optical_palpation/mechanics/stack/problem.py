@@ -1,0 +1,156 @@
+"""A layer on a deformable sample, between the window and a plate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+
+from ..body import Body
+from ..grid import LayerGrid
+from .contact import ContactState, Sides
+from .projection import Interface, Plane, Projection
+
+Array = NDArray[np.float64]
+LAYER, SAMPLE = 0, 1
+WINDOW, INTERFACE, PLATE = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Window (z = 0), layer, sample and plate; nodes are numbered layer first.
+
+    ``contacts`` are those at the window, between layer and sample and at the plate, ``sides`` that
+    of the layer's sides. ``slave_grids`` are the grids of the bodies that the slaves belong to,
+    ``areas`` the slaves' shares of the surface and ``scales`` c of their law; ``plate`` the plate's
+    z at rest, ``compression`` its travel, mm; ``slip_length`` that of the friction law.
+    """
+
+    bodies: tuple[Body, Body]
+    contacts: tuple[Plane, Interface, Plane]
+    sides: Sides
+    slave_grids: tuple[LayerGrid, LayerGrid, LayerGrid]
+    areas: tuple[Array, Array, Array]
+    plate: float
+    compression: float
+    slip_length: float
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes of both bodies."""
+        return self.bodies[LAYER].n_nodes + self.bodies[SAMPLE].n_nodes
+
+    @property
+    def n_elements(self) -> int:
+        """Number of elements of both bodies."""
+        return sum(body.grid.n_elements for body in self.bodies)
+
+    @property
+    def shear_modulus(self) -> float:
+        """Shear modulus of the layer, kPa, the scale of pressures."""
+        return self.bodies[LAYER].law.shear_modulus
+
+    @property
+    def scales(self) -> list[Array]:
+        """Scale c of the law of each contact, mN / mm."""
+        height = self.bodies[LAYER].grid.spacing[0]
+        return [area * self.shear_modulus / height for area in self.areas]
+
+    def position(self, u: Array) -> Array:
+        """Node positions (n_nodes, 3) at displacement ``u`` (n_nodes, 3)."""
+        nodes = [body.nodes.reshape(3, -1).T for body in self.bodies]
+        return np.concatenate(nodes) + u
+
+    def split(self, u: Array) -> list[Array]:
+        """Fields (3, nz + 1, ny + 1, nx + 1) of the two bodies from (n_nodes, 3)."""
+        n = self.bodies[LAYER].n_nodes
+        return [
+            np.ascontiguousarray(part.T).reshape(3, *body.grid.node_shape)
+            for part, body in zip((u[:n], u[n:]), self.bodies, strict=True)
+        ]
+
+    def project(self, position: Array, load: float) -> list[Projection]:
+        """Where the slaves of each contact are."""
+        window, interface, plate = self.contacts
+        height = self.plate - load * self.compression
+        return [
+            window.project(position, 0.0),
+            interface.project(position),
+            plate.project(position, height),
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Displacement (n_nodes, 3), element pressures of both bodies, contacts; at one load."""
+
+    load: float
+    u: Array
+    p: tuple[Array, Array]
+    contacts: tuple[ContactState, ...]
+
+    @property
+    def forces(self) -> tuple[Array, ...]:
+        """Vertical contact forces at window, interface and plate, mN."""
+        return tuple(contact.force for contact in self.contacts)
+
+    def moved(self, u: Array, p: tuple[Array, ...], forces: tuple[Array, ...]) -> State:
+        """Return the state with other unknowns and the same friction memory."""
+        contacts = tuple(
+            replace(contact, force=force)
+            for contact, force in zip(self.contacts, forces, strict=True)
+        )
+        return State(self.load, u, (p[0], p[1]), contacts)
+
+    def stepped(
+        self, fraction: float, du: Array, dp: Sequence[Array], dn: Sequence[Array]
+    ) -> State:
+        """Return the state after a fraction of a step of displacement, pressures and forces."""
+        return self.moved(
+            self.u + fraction * du,
+            tuple(p + fraction * d for p, d in zip(self.p, dp, strict=True)),
+            tuple(n + fraction * d for n, d in zip(self.forces, dn, strict=True)),
+        )
+
+
+def at_rest(stack: Stack) -> State:
+    """Return the unloaded state."""
+    u = np.zeros((stack.n_nodes, 3))
+    position = stack.position(u)
+    return State(
+        load=0.0,
+        u=u,
+        p=(
+            np.zeros(stack.bodies[LAYER].grid.shape),
+            np.zeros(stack.bodies[SAMPLE].grid.shape),
+        ),
+        contacts=tuple(
+            ContactState.resting(projection, position, np.zeros(projection.penetration.size))
+            for projection in stack.project(position, 0.0)
+        ),
+    )
+
+
+def column_forces(stack: Stack) -> tuple[Array, ...]:
+    """Contact forces at full load if every column of layer and sample were a spring of its own."""
+    layer, sample = stack.bodies
+    thickness = layer.grid.thickness[0, 0]
+    height = np.diff(sample.grid.depth)[:, None, None]
+    nodal = np.pad(1 / sample.factor, ((0, 0), (0, 1), (0, 1)), mode="edge")
+    compliance = thickness / (3 * layer.law.shear_modulus)
+    compliance = compliance + sample.grid.thickness * (height * nodal).sum(0) / (
+        3 * sample.law.shear_modulus
+    )
+    pressure = np.maximum(stack.compression - (sample.top - thickness), 0.0) / compliance
+    on_sample = RegularGridInterpolator(
+        (sample.grid.y, sample.grid.x), pressure, "nearest", bounds_error=False, fill_value=0.0
+    )
+    on_layer = on_sample(np.stack(np.meshgrid(layer.grid.y, layer.grid.x, indexing="ij"), -1))
+    of_slaves = on_layer if stack.slave_grids[INTERFACE] is layer.grid else pressure
+    return tuple(
+        p.ravel() * area
+        for p, area in zip((on_layer, of_slaves, pressure), stack.areas, strict=True)
+    )
