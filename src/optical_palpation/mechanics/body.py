@@ -13,6 +13,7 @@ from optical_palpation.material import Law
 
 from .elements import GRADIENTS, element_stress, internal_force, tangent_planes
 from .grid import LayerGrid
+from .side_flow import SideFlow, side_flow
 
 Array = NDArray[np.float64]
 
@@ -31,12 +32,16 @@ class Body:
         Factor by which an element is stiffer, its bulk modulus too: one number, or (nz, ny, nx).
     top
         z of the face nearest the window, mm: one number, or (ny + 1, nx + 1).
+    curved_sides
+        Whether the elements' upright sides may bend into the parabola of a body that sticks
+        (``side_flow``).
     """
 
     grid: LayerGrid
     law: Law
     stiffness: Array | float = 1.0
     top: Array | float = 0.0
+    curved_sides: bool = False
 
     @cached_property
     def nodes(self) -> Array:
@@ -93,7 +98,11 @@ class Body:
             jacobian,
         )
         residual = volume - reference * (1 + p / self.bulk_modulus)
-        return ElementForces(force, volume, reference, residual, float(jacobian.min()))
+        flow = None
+        if self.curved_sides:
+            flow = side_flow(self.nodes, u, self.factor, self.law.shear_modulus)
+            residual -= flow.outflow(p)
+        return ElementForces(force, volume, reference, residual, float(jacobian.min()), flow)
 
     def tangent_planes(
         self, u: Array, p: Array, gamma: float, divergence: NDArray[np.floating]
@@ -124,9 +133,12 @@ class ElementForces:
     volume, reference_volume
         Deformed and reference volume of each element, (nz, ny, nx), mm^3.
     volume_residual
-        What violates J - 1 = p / (s K): v - V (1 + p / (s K)), mm^3.
+        What violates J - 1 = p / (s K): v - V (1 + p / (s K)) - S p, mm^3, with S p the outflow
+        through curved sides.
     min_jacobian
         Smallest J at any Gauss point.
+    flow
+        S, where sides are taken as curved.
     """
 
     force: Array
@@ -134,3 +146,4 @@ class ElementForces:
     reference_volume: Array
     volume_residual: Array
     min_jacobian: float
+    flow: SideFlow | None = None

@@ -1,4 +1,4 @@
-"""The reference linear solver: pressure condensed, sparse LU from a library."""
+"""The reference linear solver: sparse LU from a library, of displacement and pressure."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class DirectSolver:
 
     dtype: ClassVar[type[np.floating]] = np.float64
 
-    def __init__(self, node_shape: tuple[int, int, int], bulk_modulus: float) -> None:
+    def __init__(self, node_shape: tuple[int, int, int], penalty: float) -> None:
         nz1, ny1, nx1 = node_shape
-        #: Penalty that condenses the pressure exactly.
-        self.gamma = bulk_modulus
+        #: Penalty of the displacement block; it changes the matrix and not the solution.
+        self.gamma = penalty
         #: [z, y, neighbour, 3 * row + column, x].
         self.stencil = np.empty((nz1, ny1, 27, 9, nx1))
 
@@ -43,13 +43,66 @@ class DirectSolver:
         ``tolerance`` is not used: the solution is exact to rounding.
         """
         matrix = sparse_matrix(system.stencil, system.free)
-        solution = sparse_solve(matrix, system.rhs.ravel()).reshape(system.rhs.shape)
-        dp = (
-            system.bulk_modulus
-            / system.volume
-            * (system.volume_change(solution) - system.volume_rhs)
-        )
-        return system.with_prescribed(solution), dp, 1
+        out, into = _pressure_blocks(system)
+        compression = _compression(system)
+        share = sp.diags_array(system.gamma / system.volume.ravel()) @ compression
+        out = out @ (sp.eye_array(system.volume.size) - share)
+        whole = sp.csr_matrix(sp.block_array([[matrix, out], [into, -compression]]))
+        rhs = np.concatenate([system.rhs.ravel(), system.volume_rhs.ravel()])
+        both = sparse_solve(whole, rhs)
+        u = both[: system.rhs.size].reshape(system.rhs.shape)
+        return system.with_prescribed(u), both[system.rhs.size :].reshape(system.volume.shape), 1
+
+
+def _pressure_blocks(system: NewtonSystem) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+    """B and B^T in contact coordinates, of the free unknowns."""
+    shape, cells = system.free.shape[1:], system.volume.shape
+    node = np.arange(system.free.size).reshape(system.free.shape)
+    element = np.arange(system.volume.size).reshape(cells)
+    rows, columns, values = [], [], []
+    for a in range(8):
+        first = a >> 2, (a >> 1) & 1, a & 1
+        at = tuple(slice(s, s + n) for s, n in zip(first, cells, strict=True))
+        for c in range(3):
+            rows.append(node[c][at].ravel())
+            columns.append(element.ravel())
+            values.append(system.divergence[:, :, 3 * a + c].ravel())
+    size = node.size, element.size
+    b = sp.csr_matrix(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=size
+    )
+    # the lateral equations of both faces take in the vertical ones, and the vertical displacement
+    # of the sample's face the lateral ones
+    contact, identity = system.contact, sp.eye_array(node.size)
+    rows_of, columns_of = identity, identity
+    for face, k in ((0, 0), (1, shape[0] - 1)):
+        for c in range(2):
+            here = node[c, k].ravel(), node[2, k].ravel()
+            rows_of = rows_of + sp.csr_matrix((contact.row[face, c].ravel(), here), (size[0],) * 2)
+            if face == 1:
+                slope = contact.column[face, c].ravel()
+                columns_of = columns_of + sp.csr_matrix((slope, here[::-1]), (size[0],) * 2)
+    free = sp.diags_array(system.free.ravel().astype(float))
+    return sp.csr_matrix(free @ rows_of @ b), sp.csr_matrix(b.T @ columns_of @ free)
+
+
+def _compression(system: NewtonSystem) -> sp.csr_matrix:
+    """C: volume by which pressures compress the elements."""
+    matrix = sp.diags_array((system.volume / system.bulk_modulus).ravel())
+    if system.flow is None:
+        return sp.csr_matrix(matrix)
+    element = np.arange(system.volume.size).reshape(system.volume.shape)
+    y, x = system.flow.y, system.flow.x
+    own = y[:, 1:] + y[:, :-1] + x[:, :, 1:] + x[:, :, :-1]
+    matrix = matrix + sp.diags_array(own.ravel())
+    for beside, here, there in (
+        (y[:, 1:-1], element[:, 1:], element[:, :-1]),
+        (x[:, :, 1:-1], element[:, :, 1:], element[:, :, :-1]),
+    ):
+        pairs = np.concatenate([here.ravel(), there.ravel()])
+        others = np.concatenate([there.ravel(), here.ravel()])
+        matrix = matrix - sp.csr_matrix((np.tile(beside.ravel(), 2), (pairs, others)), matrix.shape)
+    return sp.csr_matrix(matrix)
 
 
 def sparse_solve(matrix: sp.csr_matrix, rhs: Vector) -> Vector:

@@ -66,10 +66,10 @@ class MultigridSolver:
         self.hierarchy.update(system.free)
         free = system.free.astype(f32)
         volume = system.volume.astype(f32)
-        coupling = f32(1 - system.gamma / system.bulk_modulus)
+        penalty = f32(system.gamma) / volume
         compressibility = volume / f32(system.bulk_modulus)
         weight = f32(self.shear_modulus + system.gamma) / np.cbrt(volume)
-        self.schur.prepare(volume, system.bulk_modulus)
+        self.schur.prepare(volume, system.bulk_modulus, system.flow is not None)
         shape = system.rhs.shape[1:]
         x, b, r = halo_zeros(shape), halo_zeros(shape), halo_zeros(shape)
         inside, pushed, left = (interior(v, shape) for v in (x, b, r))
@@ -83,10 +83,11 @@ class MultigridSolver:
             out = np.empty_like(v)
             out_u, out_p = split(out)
             inside[:] = u
-            pushed[:] = -free * system.pressure_force(coupling * p)
+            compression = system.compression(p)
+            pushed[:] = -free * system.pressure_force(p - penalty * compression)
             subtract_product(system.stencil, x, b, r)
             out_u[:] = -left
-            out_p[:] = weight * (system.volume_change(u) - compressibility * p)
+            out_p[:] = weight * (system.volume_change(u) - compression)
             return out
 
         # The uniform pressure is the mode that cosine modes miss most (a layer with nowhere to go
@@ -102,7 +103,8 @@ class MultigridSolver:
             r_p = r_p / weight
             mean = float(r_p.sum(dtype=np.float64))
             out_p[:] = -self.schur.solve(r_p - volume * f32(mean / total)) - f32(mean / uniform)
-            inside[:] = free * (r_u - system.pressure_force(coupling * out_p))
+            pressure = out_p - penalty * system.compression(out_p)
+            inside[:] = free * (r_u - system.pressure_force(pressure))
             out_u[:] = interior(self.hierarchy.cycle(x), shape)
             return out
 

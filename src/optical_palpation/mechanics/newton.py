@@ -17,6 +17,7 @@ from .contact import (
     slip_coordinate,
 )
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
+from .side_flow import SideFlow
 from .stencil import threads_for
 from .system import NewtonSystem, assemble
 
@@ -128,6 +129,8 @@ class Balance:
     residual: Array
     volume: Array
     volume_ref: Array
+    volume_residual: Array
+    flow: SideFlow | None
     contact: ContactLinearisation
     min_jacobian: float
     imbalance: float
@@ -159,6 +162,8 @@ def balance(problem: LayerProblem, state: LayerState, direction: Array | None = 
         residual=out,
         volume=volume,
         volume_ref=volume_ref,
+        volume_residual=body.volume_residual,
+        flow=body.flow,
         contact=contact,
         min_jacobian=body.min_jacobian,
         imbalance=imbalance,

@@ -40,6 +40,10 @@ class LayerProblem:
     rim_smoothing
         Smoothing of contact at the window within ``LayerGrid.rim``, at full load, as a pressure in
         units of the shear modulus.
+    curved_sides
+        Whether elements know of the parabola through the depth of a layer that sticks
+        (``side_flow``): for a layer that sticks to both faces worth twice as many elements through
+        the depth; one that slides is computed for a quarter longer and no better.
     """
 
     grid: LayerGrid
@@ -49,6 +53,7 @@ class LayerProblem:
     edges: Literal["free", "roller"] = "free"
     slip_length: float = 1e-3
     rim_smoothing: float = 0.0
+    curved_sides: bool = False
 
     @property
     def shear_modulus(self) -> float:
@@ -63,7 +68,7 @@ class LayerProblem:
     @cached_property
     def body(self) -> Body:
         """The layer's elements."""
-        return Body(self.grid, self.law)
+        return Body(self.grid, self.law, curved_sides=self.curved_sides)
 
     def on_grid(self, grid: LayerGrid, imprint: Imprint | None = None) -> LayerProblem:
         """Return the same problem on another grid."""

@@ -23,9 +23,10 @@ Pressure = NDArray[np.float32]
 
 
 class SchurComplement:
-    """Approximate inverse of (1 - gamma / K) B^T (A + gamma B V^-1 B^T)^-1 B + V / K.
+    """Approximate inverse of B^T (A + gamma B V^-1 B^T)^-1 B (1 - gamma V^-1 C) + C.
 
-    The uniform pressure is left out.
+    C is V / K, with the flow through curved sides (``side_flow``) V / K + S. The uniform pressure
+    is left out.
 
     Parameters
     ----------
@@ -54,11 +55,13 @@ class SchurComplement:
         #: 1 / (mu / lambda + gamma), by mode, 1 / kPa.
         self._symbol = above / (np.float32(shear_modulus) * below + np.float32(gamma) * above)
         self.gamma = gamma
+        #: V^-1 S by mode, 1 / kPa.
+        self._flow = (s[1] + s[2]) * np.float32(spacing[0] ** 2 / (12 * shear_modulus))
 
-    def prepare(self, volume: Pressure, bulk_modulus: float) -> None:
-        """Take the reference volumes of the elements, mm^3, and K, kPa."""
-        coupling = np.float32(1 - self.gamma / bulk_modulus)
-        self._inverse = 1 / (coupling * self._symbol + np.float32(1 / bulk_modulus))
+    def prepare(self, volume: Pressure, bulk_modulus: float, curved_sides: bool = False) -> None:
+        """Take the reference volumes of the elements, mm^3, and K, kPa; and whether S is there."""
+        own = np.float32(1 / bulk_modulus) + (self._flow if curved_sides else np.float32(0))
+        self._inverse = 1 / ((1 - np.float32(self.gamma) * own) * self._symbol + own)
         self._inverse[0, 0, 0] = 0
         self._scale = volume ** np.float32(-0.5)
 

@@ -14,6 +14,7 @@ from optical_palpation.parallel import in_parallel
 from .contact import ContactLinearisation
 from .lanes import FAST
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
+from .side_flow import SideFlow
 from .stencil import constrain
 
 if TYPE_CHECKING:
@@ -32,14 +33,14 @@ class NewtonSystem:
     the reference volumes,
 
         A du + B dp           = -residual
-        B^T du - (V / K) dp   = -volume_residual.
+        B^T du - C dp         = -volume_residual,   C = V / K + S
 
-    ``stencil`` holds A + gamma B V^-1 B^T as the linear solver stores it, with the rows and columns
-    of constrained unknowns cleared (their diagonal too); ``rhs`` and ``volume_rhs`` the right-hand
-    sides of
+    with S that of ``flow``. ``stencil`` holds A + gamma B V^-1 B^T as the linear solver stores it,
+    with the rows and columns of constrained unknowns cleared (their diagonal too); ``rhs`` and
+    ``volume_rhs`` the right-hand sides of
 
-        (A + gamma B V^-1 B^T) du + (1 - gamma / K) B dp = rhs
-        B^T du - (V / K) dp                              = volume_rhs
+        (A + gamma B V^-1 B^T) du + B (1 - gamma V^-1 C) dp = rhs
+        B^T du - C dp                                       = volume_rhs
 
     for the free unknowns, beyond the ``prescribed`` step of d on both faces: that of the others,
     and where the search for those of stiff contact springs begins. All are in the solver's
@@ -54,6 +55,7 @@ class NewtonSystem:
     rhs: Vector
     volume_rhs: Vector
     volume: Array
+    flow: SideFlow | None
     bulk_modulus: float
     gamma: float
     vertical_rows: Vector
@@ -63,6 +65,11 @@ class NewtonSystem:
         out = np.empty(self.volume.shape, du.dtype)
         gather_divergence(self.divergence, self.to_cartesian(du), out)
         return out
+
+    def compression(self, dp: Vector) -> Vector:
+        """C dp: volume by which pressures compress the elements, mm^3."""
+        out = (self.volume / self.bulk_modulus).astype(dp.dtype) * dp
+        return out if self.flow is None else out + self.flow.outflow(dp)
 
     def pressure_force(self, dp: Vector) -> Vector:
         """B dp: nodal forces, mN, in contact coordinates."""
@@ -119,7 +126,7 @@ def assemble(
     free, prescribed = constraints(problem, contact)
     divergence = np.empty((*grid.shape[:2], 24, grid.shape[2]), solver.dtype)
     residual = now.force.copy()
-    volume_residual = now.volume - now.volume_ref * (1 + state.p / problem.bulk_modulus)
+    volume_residual = now.volume_residual
     system = NewtonSystem(
         stencil=solver.stencil,
         divergence=divergence,
@@ -129,6 +136,7 @@ def assemble(
         rhs=residual,
         volume_rhs=volume_residual,
         volume=now.volume_ref,
+        flow=None if now.flow is None else now.flow.astype(solver.dtype),
         bulk_modulus=problem.bulk_modulus,
         gamma=solver.gamma,
         vertical_rows=np.empty((2, ny1, 27, 3, nx1), solver.dtype),
