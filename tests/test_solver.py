@@ -53,7 +53,7 @@ def test_newton_step_equals_the_direct_one():
     steps = []
     for solver in (
         MultigridSolver(problem.grid, problem.shear_modulus),
-        DirectSolver(problem.grid.node_shape, problem.shear_modulus),
+        DirectSolver(problem.grid.node_shape, problem.bulk_modulus),
     ):
         steps.append(solver.solve(newton_system(problem, state, solver), 1e-6)[:2])
     for fast, exact in zip(*steps, strict=True):

@@ -177,7 +177,8 @@ def solve(
 def make_solver(problem: LayerProblem, name: str) -> LinearSolver:
     """Return the named linear solver for a problem."""
     if name == "direct":
-        return DirectSolver(problem.grid.node_shape, problem.shear_modulus)
+        penalty = problem.shear_modulus if problem.curved_sides else problem.bulk_modulus
+        return DirectSolver(problem.grid.node_shape, penalty)
     return MultigridSolver(problem.grid, problem.shear_modulus)
 
 

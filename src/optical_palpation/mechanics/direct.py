@@ -28,7 +28,8 @@ class DirectSolver:
 
     def __init__(self, node_shape: tuple[int, int, int], penalty: float) -> None:
         nz1, ny1, nx1 = node_shape
-        #: Penalty of the displacement block; it changes the matrix and not the solution.
+        #: Penalty of the displacement block; the solution is the same for all. The bulk modulus
+        #: condenses the pressure, unless sides are curved.
         self.gamma = penalty
         #: [z, y, neighbour, 3 * row + column, x].
         self.stencil = np.empty((nz1, ny1, 27, 9, nx1))
@@ -43,6 +44,10 @@ class DirectSolver:
         ``tolerance`` is not used: the solution is exact to rounding.
         """
         matrix = sparse_matrix(system.stencil, system.free)
+        if system.flow is None and system.gamma == system.bulk_modulus:  # dp follows from du
+            solution = sparse_solve(matrix, system.rhs.ravel()).reshape(system.rhs.shape)
+            change = system.volume_change(solution) - system.volume_rhs
+            return system.with_prescribed(solution), system.bulk_modulus / system.volume * change, 1
         out, into = _pressure_blocks(system)
         compression = _compression(system)
         share = sp.diags_array(system.gamma / system.volume.ravel()) @ compression

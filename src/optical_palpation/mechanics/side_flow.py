@@ -1,22 +1,23 @@
 """Volume that a parabolic profile carries past the straight sides of elements.
 
-Trilinear elements have straight vertical edges. Between faces that stick, a pressure gradient bends
+Trilinear elements have straight upright edges. Between faces that stick, a pressure gradient bends
 the material into a parabola through the depth, and elements h high miss the part between parabola
-and chord: a layer of n elements that sticks on both faces lets through 1 - 1 / n^2 of the volume
-that it should, and is that much too stiff. The part missed is a bubble on each upright side,
+and chord: of a layer that sticks on both faces, n elements let through 1 - 1 / n^2 of the volume
+that they should, and are that much too stiff. The part missed is a bubble on each upright side,
 
     4 t (1 - t) a,  t from 0 to 1 through the element's depth,
 
-whose displacement a normal to the side is resisted by the shear of the two elements beside it,
-(16 / 3) mu V / h^2 with V the reference volume of half of both, and which moves the volume
-(2 / 3) A a from one to the other, with A the deformed area of the side. Where its forces balance, the pressures
-p of two neighbours drive the volume
+whose displacement a, lateral and across the side, is resisted by the shear of the elements beside
+it, (16 / 3) mu V / h^2 with V the reference volume between their centres. It moves the volume
+(2 / 3) A a from one to the other, with A the part of the side's deformed area across x or y. Where
+its forces balance, the pressures p of two neighbours i and j drive the volume
 
     c (p_j - p_i),  c = A^2 h^2 / (12 mu V),
 
-from j to i, so that the displacement of the bubbles needs no unknown of its own. The term vanishes
-with the square of h. Its coefficients move with the deformed sides; that they do is left out of the
-tangent.
+out of j into i, so that the bubbles need no unknowns of their own: the volume equation of element i
+reads v - V (1 + p / K) - (S p) = 0 with the symmetric S of these flows. The term vanishes with the
+square of h. Its coefficients move with the deformed sides; that they do is left out of the tangent.
+Nothing pushes on the outermost sides, where the material is free.
 """
 
 from __future__ import annotations
