@@ -24,6 +24,10 @@ class OutputError(OpticalPalpationError, OSError):
     """A result could not be written."""
 
 
+class FolderBusyError(OutputError):
+    """Another run works in a result folder."""
+
+
 class IncompleteOutputError(OutputError):
     """Some results could not be written; the message tells which were."""
 

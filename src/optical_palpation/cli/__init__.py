@@ -14,6 +14,7 @@ from typing import Annotated
 
 import typer
 
+from optical_palpation.cli.batch import batch
 from optical_palpation.cli.demo import demo
 from optical_palpation.cli.experiment import experiment
 from optical_palpation.cli.friction import friction
@@ -46,6 +47,7 @@ app.command()(demo)
 app.command()(sample)
 app.command()(new)
 app.command()(run)
+app.command()(batch)
 app.command()(thickness)
 app.command()(friction)
 app.command()(material)

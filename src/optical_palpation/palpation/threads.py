@@ -35,6 +35,7 @@ def limited_threads(threads: int | None = None) -> Iterator[int]:
 
     One computation runs at a time, since the libraries know only one number of threads for the
     whole process; another thread of Python waits for it.
+    Within another such context, at most those of the outer one.
 
     Yields
     ------
@@ -43,8 +44,8 @@ def limited_threads(threads: int | None = None) -> Iterator[int]:
     """
     launch_threads()
     with _ALONE:
-        number = min(threads or available_threads(), available_threads())
         before = nb.get_num_threads()
+        number = min(threads or available_threads(), available_threads(), before)
         nb.set_num_threads(number)
         try:
             with threadpool_limits(number, user_api="blas"):

@@ -23,7 +23,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from optical_palpation.errors import ConvergenceError, InputError, OutputError
+from optical_palpation.errors import ConvergenceError, FolderBusyError, InputError, OutputError
 from optical_palpation.files import is_left_over_of, replacing
 from optical_palpation.runtime import software_version, source_digest
 
@@ -238,7 +238,7 @@ def _alone(folder: Path) -> Iterator[None]:
     try:
         lock.acquire()
     except Timeout:
-        raise OutputError(
+        raise FolderBusyError(
             f"{folder}: another run works in this folder; wait until it has finished, or choose "
             "another folder in [outputs]"
         ) from None

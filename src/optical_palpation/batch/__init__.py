@@ -1,0 +1,6 @@
+"""Many studies at once, on Dask: on this machine or on a cluster."""
+
+from optical_palpation.batch.reading import Batch, Scan, read_batch
+from optical_palpation.batch.run import BatchProgress, BatchResult, run_batch
+
+__all__ = ["Batch", "BatchProgress", "BatchResult", "Scan", "read_batch", "run_batch"]

@@ -1,0 +1,148 @@
+"""Workers: a cluster on this machine, or one that runs already."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from optical_palpation.errors import InputError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+#: Memory that a worker takes before it computes anything: Python, compiled kernels, libraries.
+_PROCESS = 0.5e9
+#: Share of the available memory that the scans of a local cluster may be predicted to take.
+_USABLE = 0.85
+
+
+@dataclass(frozen=True)
+class Workers:
+    """A client, and how much memory its workers have together (None: not for us to say)."""
+
+    client: Client
+    memory: float | None
+    process: float = _PROCESS
+
+
+@dataclass(frozen=True)
+class About:
+    """What a worker says of itself."""
+
+    version: str
+    host: str
+    cores: frozenset[int]
+    threads: int
+
+
+def about_worker() -> About:
+    """Describe the process that calls this."""
+    import os
+    import socket
+
+    from optical_palpation.palpation.threads import available_threads
+    from optical_palpation.runtime import software_version
+
+    cores = (
+        os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
+    )
+    return About(software_version(), socket.gethostname(), frozenset(cores), available_threads())
+
+
+def threads_of(address: str, workers: Mapping[str, About]) -> int:
+    """Threads for a worker: its cores, shared with the workers that have the same ones."""
+    own = workers[address]
+    rivals = sum(
+        other.host == own.host and bool(other.cores & own.cores) for other in workers.values()
+    )
+    return max(1, own.threads // max(rivals, 1))
+
+
+@contextmanager
+def connected(
+    scheduler: str | None, workers: int | None, needs: Sequence[float | None]
+) -> Iterator[Workers]:
+    """Connect to a scheduler, or start workers here, as many as cores and memory allow.
+
+    Parameters
+    ----------
+    scheduler
+        Address of a running scheduler, ``tcp://host:8786``, or the path of its scheduler file.
+    workers
+        Number of workers to start here.
+    needs
+        Predicted memory of the scans, bytes.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, or the scheduler cannot be reached.
+    """
+    try:
+        import dask
+        import distributed
+    except ImportError as error:
+        raise InputError(
+            "a batch runs on Dask, which is not installed: pip install 'optical-palpation[batch]'"
+        ) from error
+    if scheduler is not None:
+        given: dict[str, Any] = (
+            {"scheduler_file": scheduler} if scheduler.endswith(".json") else {"address": scheduler}
+        )
+        if "scheduler_file" in given and not Path(scheduler).is_file():  # Dask would wait for it
+            raise InputError(
+                f"{scheduler}: no such scheduler file; 'dask scheduler --scheduler-file "
+                f"{scheduler}' writes one"
+            )
+        try:
+            client = distributed.Client(**given, timeout=20)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise InputError(
+                f"{scheduler}: no Dask scheduler answers there ({error}); start one with 'dask "
+                "scheduler' and give the address that it prints"
+            ) from error
+        with client:
+            yield Workers(client, None)
+        return
+    from optical_palpation.palpation.memory import available_memory
+    from optical_palpation.palpation.threads import available_threads
+
+    memory = _USABLE * available_memory()
+    count = workers or _workers_for(needs, available_threads(), memory)
+    # Scans are admitted by their predicted memory, and the kernels have threads of their own.
+    settings = {
+        "distributed.worker.profile.enabled": False,
+        # A process that computes may be silent for long; one that dies is seen at once.
+        "distributed.comm.timeouts.connect": "120s",
+        "distributed.comm.timeouts.tcp": "600s",
+        "distributed.scheduler.worker-ttl": None,
+    }
+    with (
+        dask.config.set(settings),
+        distributed.LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=0,
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield Workers(client, memory)
+
+
+def _workers_for(needs: Sequence[float | None], cores: int, memory: float) -> int:
+    """One for each core, fewer where there are fewer scans or memory for the smallest ones."""
+    known = sorted(need for need in needs if need is not None) or [0.0]
+    count, total = 0, 0.0
+    while count < min(cores, len(needs)):
+        total += _PROCESS + known[min(count, len(known) - 1)]
+        if count and total > memory:
+            break
+        count += 1
+    return max(count, 1)

@@ -1,0 +1,229 @@
+"""One scan of a batch, as a worker runs it: a study, and the row that it adds to the table."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from optical_palpation.batch.reading import Scan
+from optical_palpation.errors import FolderBusyError, OpticalPalpationError
+
+#: Pixels along the longer side of a thumbnail.
+_THUMBNAIL = 96
+_BUSY = 60.0  # s
+RESULT, RECORD = "stress.nc", "provenance.json"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a scan.
+
+    Attributes
+    ----------
+    name
+        Of the scan.
+    status
+        ``done``, ``earlier`` (an earlier run had done it all) or ``failed``.
+    message
+        Why it failed.
+    row
+        Its entries in the table, by column.
+    thumbnail
+        Small map of the axial stress, kPa, or None.
+    seconds
+        How long it took this time.
+    """
+
+    name: str
+    status: str
+    message: str = ""
+    row: dict[str, Any] = field(default_factory=dict)
+    thumbnail: NDArray[np.float32] | None = None
+    seconds: float = 0.0
+
+
+def run_scan(scan: Scan, folder: Path, threads: int | None, tell: Callable[[Any], None]) -> Outcome:
+    """Run the study of a scan and read its row; what fails is told and not raised.
+
+    Parameters
+    ----------
+    scan
+        The scan.
+    folder
+        Folder of the batch.
+    threads
+        Number of threads; all by default.
+    tell
+        Called with reports of progress. An exception that it raises and that derives from
+        ``BaseException`` alone ends the scan.
+    """
+    from optical_palpation.palpation.threads import limited_threads
+    from optical_palpation.study import Progress, read_study, run_study
+
+    started = time.monotonic()
+    target = folder / scan.name
+    errors = folder / f"{scan.name}.error.txt"
+    try:
+        place = {"outputs.folder": _relative(target, scan.study.parent)}
+        study = read_study(scan.study, _changes(scan) | place)
+        with limited_threads(threads):
+            while True:
+                try:
+                    done = run_study(study, progress=tell)
+                    break
+                except FolderBusyError:
+                    # A worker that was given up may not have noticed yet that nobody waits for it.
+                    if time.monotonic() > started + _BUSY:
+                        raise
+                    tell(Progress("waiting for an earlier run to leave the folder", 0.0))
+                    time.sleep(0.5)
+        row, thumbnail = _row(target, scan)
+    except OpticalPalpationError as error:
+        message, details = str(error), str(error)
+    except Exception as error:
+        message, details = f"{type(error).__name__}: {error}", traceback.format_exc()
+    else:
+        errors.unlink(missing_ok=True)
+        earlier = set(done.files) == set(done.earlier)
+        status = "earlier" if earlier else "done"
+        seconds = time.monotonic() - started
+        return Outcome(scan.name, status, "", row, thumbnail, seconds)
+    with suppress(OSError):  # the table says it as well
+        errors.write_text(details + "\n", encoding="utf-8")
+    return Outcome(scan.name, "failed", message, seconds=time.monotonic() - started)
+
+
+def predicted_need(scan: Scan) -> float | None:
+    """Memory of a scan's computation, bytes, from its study alone; None if that cannot be read.
+
+    The thickness of the layer is not known before it was found in the volumes: half of their depth
+    stands for it.
+    """
+    from optical_palpation.palpation.memory import predicted_memory
+    from optical_palpation.study import read_study
+    from optical_palpation.study.inputs import open_input
+    from optical_palpation.study.schema import MapInput, NumberInput
+    from optical_palpation.thickness import read_thickness_map
+
+    try:
+        study = read_study(scan.study, _changes(scan))
+        source, extent = study.loaded, study.layer.extent
+        volume = 0.0
+        if isinstance(source, MapInput):
+            loaded = read_thickness_map(
+                study.path(source.map), layer_extent=extent, **source.model_dump(exclude={"map"})
+            )
+            width, depth = (float(np.ptp(loaded[axis].values)) for axis in "xy")
+            thickness = float(loaded.max())
+        else:
+            with open_input(study, source) as opened:
+                nz, ny, nx = opened.shape
+                dz, dy, dx = opened.metadata.spacing
+            width, depth, thickness = nx * dx, ny * dy, 0.5 * nz * dz
+            volume = 8.0 * nz * ny * nx
+        if isinstance(study.unloaded, NumberInput):
+            thickness = study.unloaded.thickness
+        if extent is not None:
+            width, depth = extent[1] - extent[0], extent[3] - extent[2]
+        size = study.grid.element_size
+        hx, hy, hz = size if isinstance(size, tuple) else (size, size, size)
+        beyond = 6.0 * thickness if study.grid.edges == "padded" else 0.0
+        through = max(2, round(thickness / hz))
+        refined = 2 * through if study.grid.edges == "free" else 0
+        across = [
+            int(np.ceil((length + beyond) / h)) + refined
+            for length, h in ((depth, hy), (width, hx))
+        ]
+        solver = "direct" if study.grid.solver == "direct" else "multigrid"
+        return volume + predicted_memory((through, across[0], across[1]), solver)
+    except (OpticalPalpationError, OSError):  # the scan itself tells what is wrong
+        return None
+
+
+def _changes(scan: Scan) -> dict[str, Any]:
+    """The overrides as :func:`read_study` takes them: an input of one kind replaces the other."""
+    changes: dict[str, Any] = {}
+    for name in scan.overrides:
+        side, _, key = name.partition(".")
+        if side in ("unloaded", "loaded") and key in ("volume", "map", "thickness"):
+            others = {"volume", "map", "thickness"} - {key}
+            changes |= {f"{side}.{other}": None for other in sorted(others)}
+    return changes | dict(scan.overrides)
+
+
+def _relative(target: Path, start: Path) -> str:
+    try:
+        return os.path.relpath(target, start)
+    except ValueError:  # another drive
+        return str(target.resolve())
+
+
+def _row(folder: Path, scan: Scan) -> tuple[dict[str, Any], NDArray[np.float32]]:
+    """Entries of the table, units in the names of the columns, and the thumbnail."""
+    from optical_palpation.palpation.result import ContactState
+    from optical_palpation.present import read_result
+    from optical_palpation.present.profiles import on_layer
+    from optical_palpation.study import warnings_about
+
+    result = read_result(folder / RESULT)
+    maps, about = on_layer(result.maps), result.maps.attrs
+    record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    row: dict[str, Any] = {}
+    for side in ("window", "sample"):
+        row[f"{side}_force_mN"] = float(about[f"{side}_force_mN"])
+    for method, name in (("", "axial_stress"), ("algebraic_", "algebraic_axial_stress")):
+        stress = maps[name].values
+        row[f"{method}mean_axial_stress_kPa"] = float(np.nanmean(stress))
+        row[f"{method}first_percentile_axial_stress_kPa"] = float(np.nanpercentile(stress, 1))
+        row[f"{method}most_compressed_axial_stress_kPa"] = float(np.nanmin(stress))
+    state = maps["contact_state"].values
+    row["in_contact_fraction"] = float(np.mean(state != ContactState.OPEN))
+    row["filled_fraction"] = float(about.get("filled_share", 0.0))
+    row["mean_loaded_thickness_mm"] = float(maps["loaded_thickness"].mean())
+    if scan.regions is not None:
+        row |= _regions(maps, scan.regions)
+    for key in ("c10_kPa", "c01_kPa", "bulk_to_shear", "window_friction", "sample_friction"):
+        if key in about:
+            row[key] = float(about[key])
+    for key in ("elements", "newton_iterations"):
+        if key in about:
+            row[key] = int(np.ravel(about[key])[0])
+    row["seconds"] = round(sum(entry["seconds"] for entry in record["stages"].values()), 2)
+    row["warnings"] = "; ".join(warnings_about(result))
+    row["software_version"] = record["software_version"]
+    row["study"] = str(scan.study)
+    row["study_sha256"] = record["study_sha256"]
+    for side, entry in record["inputs"].items():
+        row[f"{side}_sha256"] = entry["sha256"]
+    row["stress_sha256"] = record["stages"][RESULT]["sha256"]
+    return row, _thumbnail(maps["axial_stress"])
+
+
+def _regions(maps: xr.Dataset, path: Path) -> dict[str, float]:
+    """Mean, spread, force and area in each region, on columns of its name."""
+    from optical_palpation.analysis import read_regions, region_statistics
+
+    found = region_statistics(maps, read_regions(path, maps))
+    units = {"mean": "kPa", "standard_deviation": "kPa", "force": "mN", "area": "mm2"}
+    return {
+        f"{region}.{key}_{unit}": float(found[key].sel(region=region))
+        for region in found["region"].values
+        for key, unit in units.items()
+    }
+
+
+def _thumbnail(stress: xr.DataArray) -> NDArray[np.float32]:
+    values = stress.transpose("y", "x").values
+    step = max(1, -(-max(values.shape) // _THUMBNAIL))
+    return values[::step, ::step].astype(np.float32)

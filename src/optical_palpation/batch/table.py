@@ -1,0 +1,101 @@
+"""The table of a batch: one row for each scan, as CSV and as Parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from optical_palpation.batch.reading import Batch
+from optical_palpation.batch.scan import Outcome
+from optical_palpation.errors import OutputError
+from optical_palpation.files import check_target, replacing
+from optical_palpation.runtime import software_version
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CSV, PARQUET = "scans.csv", "scans.parquet"
+
+
+def check_folder(folder: Path) -> None:
+    """Make the folder of a batch.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be made or written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"{folder}: the folder cannot be made ({reason})") from error
+    check_target(folder / CSV)
+
+
+def table_of(batch: Batch, outcomes: Sequence[Outcome]) -> pd.DataFrame:
+    """One row for each scan: name, status, what differs from its study, and what was found.
+
+    Scans that were not reached have the status ``not run``. Units are in the names of the columns.
+    """
+    import pandas as pd
+
+    found = {outcome.name: outcome for outcome in outcomes}
+    rows: list[dict[str, Any]] = []
+    for scan in batch.scans:
+        outcome = found.get(scan.name)
+        rows.append(
+            {
+                "scan": scan.name,
+                "status": "not run"
+                if outcome is None
+                else "failed"
+                if outcome.status == "failed"
+                else "done",
+                "message": outcome.message if outcome else "",
+                **{key: _cell(value) for key, value in scan.overrides.items()},
+                **(outcome.row if outcome else {}),
+            }
+        )
+    table = pd.DataFrame(rows)
+    late = [c for c in ("seconds", "warnings", "software_version", "study") if c in table]
+    late += [column for column in table if str(column).endswith("_sha256")]
+    return table[[column for column in table if column not in late] + late]
+
+
+def write_tables(batch: Batch, outcomes: Sequence[Outcome]) -> list[Path]:
+    """Write ``scans.csv`` and, if pyarrow is there, ``scans.parquet``.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    table = table_of(batch, outcomes)
+    table.attrs = {
+        "software": "optical-palpation",
+        "software_version": software_version(),
+        "source": batch.source.name,
+    }
+    written = [batch.folder / CSV]
+    with replacing(written[0]) as temporary:
+        table.to_csv(temporary, index=False)
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        return written
+    written.append(batch.folder / PARQUET)
+    # A column whose cells are of several kinds (0.1 here, a file there) is text in Parquet.
+    for column in table:
+        kinds = {type(value) for value in table[column].dropna()}
+        if len(kinds) > 1:
+            table[column] = table[column].map(str, na_action="ignore")
+    with replacing(written[1]) as temporary:
+        table.to_parquet(temporary, index=False)
+    return written
+
+
+def _cell(value: Any) -> Any:
+    """A value as a cell of a table takes it."""
+    return value if isinstance(value, bool | int | float | str) else str(value)

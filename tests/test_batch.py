@@ -1,0 +1,476 @@
+"""Batches: the table, the workers, and what comes of lost ones."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optical_palpation.batch import Batch, read_batch, run_batch
+from optical_palpation.batch.cluster import About, threads_of
+from optical_palpation.batch.run import _LOSSES
+from optical_palpation.batch.scan import predicted_need
+from optical_palpation.errors import InputError, OpticalPalpationError
+from optical_palpation.present import read_result
+from optical_palpation.study import read_study, run_study
+
+STUDY = """
+[unloaded]
+thickness = 0.5
+[loaded]
+map = "0.npz"
+[material]
+c10 = 2.23
+c01 = 0.703
+[friction]
+window = 0.15
+sample = 0.05
+[grid]
+element_size = 0.25
+[outputs]
+write = []
+"""
+REGIONS = "name,x_mm,y_mm\nbump,0.5,0.5\nbump,1,0.5\nbump,1,1\nbump,0.5,1\n"
+
+
+def make_scans(folder, count):
+    """A study file, maps that differ, and a map that is damaged."""
+    axis = np.linspace(0, 1.5, 16)
+    bump = np.exp(-((axis - 0.75) ** 2 + (axis[:, None] - 0.75) ** 2) / 0.2)
+    for n in range(count):
+        np.savez(folder / f"{n}.npz", L1_mm=0.45 - 0.01 * n * bump, x_mm=axis, y_mm=axis)
+    (folder / "damaged.npz").write_bytes((folder / "0.npz").read_bytes()[:100])
+    (folder / "study.toml").write_text(STUDY)
+    (folder / "regions.csv").write_text(REGIONS)
+
+
+def table(folder, maps, **columns):
+    rows = [f"s{Path(m).stem},study.toml,{m}" for m in maps]
+    path = folder / "table.csv"
+    path.write_text("\n".join(["name,study,loaded.map", *rows]) + "\n")
+    return path
+
+
+# ------------------------------------------------------------------------------------- the table
+
+
+def test_csv(tmp_path):
+    path = tmp_path / "t.csv"
+    (tmp_path / "deep").mkdir()
+    path.write_text(
+        "name;study;loaded.map;friction.window;grid.element_size;sample.motion\n"
+        "one;deep/study.toml;1.npz;0.2;[0.2, 0.2, 0.1];0.1\n"
+        ";deep/study.toml;;;;m.nc\n"
+    )
+    batch = read_batch(path)
+    assert batch.folder == tmp_path / "t-results"
+    assert [scan.name for scan in batch.scans] == ["one", "0002-study"]
+    assert batch.scans[0].study == tmp_path / "deep/study.toml"
+    assert batch.scans[0].overrides == {
+        "loaded.map": "../1.npz",  # from the folder of the study
+        "friction.window": 0.2,
+        "grid.element_size": [0.2, 0.2, 0.1],
+        "sample.motion": 0.1,
+    }
+    assert batch.scans[1].overrides == {"sample.motion": "../m.nc"}
+
+
+def test_toml_with_a_sweep(tmp_path):
+    path = tmp_path / "t.toml"
+    path.write_text(
+        """
+        study = "study.toml"
+        folder = "out"
+        regions = "r.csv"
+        [overrides]
+        friction.sample = 0.1
+        [sweep]
+        friction.window = [0.1, 0.2]
+        grid.element_size = [0.25, [0.2, 0.2, 0.1]]
+        [[scan]]
+        name = "a"
+        loaded.map = "a.npz"
+        [[scan]]
+        name = "b"
+        study = "other.toml"
+        friction.sample = 0.3
+        regions = "own.csv"
+        """
+    )
+    batch = read_batch(path)
+    assert batch.folder == tmp_path / "out"
+    assert [scan.name for scan in batch.scans] == [
+        f"{scan}-window_{window}-element_size_{size}"
+        for scan in "ab"
+        for window in (0.1, 0.2)
+        for size in (0.25, 2)
+    ]
+    first, last = batch.scans[0], batch.scans[-1]
+    assert first.overrides == {
+        "friction.sample": 0.1,
+        "loaded.map": "a.npz",
+        "friction.window": 0.1,
+        "grid.element_size": 0.25,
+    }
+    assert last.overrides["friction.sample"] == 0.3
+    assert last.overrides["grid.element_size"] == [0.2, 0.2, 0.1]
+    assert first.regions == tmp_path / "r.csv"
+    assert last.regions == tmp_path / "own.csv"
+    assert last.study == tmp_path / "other.toml"
+
+
+def test_folder(tmp_path):
+    for name in ("a/study.toml", "b/study.toml", "c.toml", "a/.hidden/study.toml"):
+        (tmp_path / "in" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "in" / name).write_text(STUDY)
+    batch = read_batch(tmp_path / "in")
+    assert [scan.name for scan in batch.scans] == ["a", "b", "c"]
+    assert batch.folder == tmp_path / "in-results"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("t.csv", "name,loaded.map\na,b", "no column named study"),
+        ("t.csv", "study,frction.window\ns,1", "frction.window"),
+        ("t.csv", "study,study\ns,s", "several columns"),
+        ("t.csv", "study,outputs.folder\ns,s", "outputs.folder"),
+        ("t.csv", "study,name\ns,a\ns,A", "both called"),
+        ("t.csv", "study,name\ns,a,b\n,c", "line 2.*line 3|line 2"),
+        ("t.csv", "", "no study"),
+        ("t.csv", "study\n", "no study"),
+        ("t.toml", "study = 1", "text in quotes"),
+        ("t.toml", "study = 's'\nsweeps.a = [1]", "sweeps is unknown"),
+        ("t.toml", "study = 's'\nsweep.friction.window = 1", "list of values"),
+        ("t.toml", "study = 's'\nsweep.frcton.window = [1]", "frcton"),
+        ("t.toml", "[[scan]]\nname = 'a'", "study is missing"),
+        ("t.toml", "study = 's'\nscan = 4", "array of tables"),
+        ("t.toml", "study =", "no valid TOML"),
+        ("t.xlsx", "", "a batch is a table"),
+    ],
+)
+def test_tables_that_cannot_be_used(tmp_path, name, text, told):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(InputError, match=f"(?s){name}.*({told})"):
+        read_batch(path)
+    with pytest.raises(InputError, match="no such file"):
+        read_batch(tmp_path / "none.csv")
+
+
+@given(content=st.binary(max_size=300) | st.text(max_size=300).map(str.encode))
+@pytest.mark.parametrize("name", ["t.csv", "t.toml"])
+def test_any_content_is_read_or_refused(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes((b"study,name,loaded.map\n" if name == "t.csv" else b"") + content)
+    try:
+        batch = read_batch(path)
+    except OpticalPalpationError:
+        return
+    for scan in batch.scans:
+        assert scan.name
+        assert Path(scan.name).name == scan.name  # stays within the folder
+        assert scan.name not in (".", "..")
+
+
+# ----------------------------------------------------------------------------------- the workers
+
+
+def test_workers_on_the_same_cores_share_them():
+    def about(host, cores):
+        return About("1", host, frozenset(cores), len(cores))
+
+    here = {"a": about("h", range(8)), "b": about("h", range(8)), "c": about("g", range(6))}
+    assert [threads_of(address, here) for address in "abc"] == [4, 4, 6]
+    # jobs of a cluster that were given cores of their own on one machine
+    bound = {"a": about("h", range(4)), "b": about("h", range(4, 8))}
+    assert [threads_of(address, bound) for address in "ab"] == [4, 4]
+    crowded = {str(n): about("h", range(2)) for n in range(5)}
+    assert threads_of("0", crowded) == 1
+
+
+def test_need_grows_with_the_elements_and_is_unknown_of_a_broken_scan(tmp_path):
+    make_scans(tmp_path, 1)
+    sizes = ["0.25", "0.1", "0.05"]
+    rows = [f"n{n},study.toml,{size}" for n, size in enumerate(sizes)]
+    (tmp_path / "t.csv").write_text("\n".join(["name,study,grid.element_size", *rows]))
+    needs = [predicted_need(scan) for scan in read_batch(tmp_path / "t.csv").scans]
+    assert 4e6 < needs[0] < needs[1] < needs[2] < 2e9
+    batch = read_batch(table(tmp_path, ["damaged.npz"]))
+    assert predicted_need(batch.scans[0]) is None
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """Results of studies run one after another, after the kernels were compiled."""
+    folder = tmp_path_factory.mktemp("reference")
+    make_scans(folder, 4)
+    contents = {}
+    for n in range(4):
+        changes = {"loaded.map": f"{n}.npz", "outputs.folder": f"r{n}", "grid.threads": None}
+        done = run_study(read_study(folder / "study.toml", changes))
+        contents[f"s{n}"] = content(done.folder)
+    return contents
+
+
+def content(folder):
+    """All values and attributes of a result, to the bit.
+
+    Not the bytes of the file: HDF5 may lay out the same content in another order.
+    """
+    result = read_result(folder / "stress.nc")
+    return {
+        name: (variable.values.tobytes(), str(variable.attrs))
+        for part in (result.maps, result.layer)
+        for name, variable in part.variables.items()
+    } | {"attributes": str(result.maps.attrs)}
+
+
+@contextmanager
+def scheduler_process(folder):
+    """A scheduler as users start it; gives the path of its file."""
+    file = folder / "scheduler.json"
+    with running("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", file):
+        deadline = time.monotonic() + 120
+        while not file.exists() or not file.read_text().strip():
+            assert time.monotonic() < deadline, "the scheduler does not start"
+            time.sleep(0.1)
+        yield file
+
+
+@contextmanager
+def running(*arguments):
+    command = [sys.executable, "-m", "dask", *map(str, arguments)]
+    environment = os.environ | {"NUMBA_NUM_THREADS": "1"}
+    process = subprocess.Popen(
+        command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def worker(file):
+    return running(
+        "worker", "--scheduler-file", file, "--no-nanny", "--nthreads", "2", "--no-dashboard"
+    )
+
+
+@pytest.mark.slow
+def test_real_scheduler_lost_workers_and_a_damaged_scan(tmp_path, reference):
+    make_scans(tmp_path, 4)
+    batch = read_batch(
+        table(tmp_path, ["0.npz", "1.npz", "damaged.npz", "2.npz", "3.npz"]),
+        regions=tmp_path / "regions.csv",
+    )
+    killed = []
+    with ExitStack() as stack:
+        file = stack.enter_context(scheduler_process(tmp_path))
+        processes = [stack.enter_context(worker(file)) for _ in range(2)]
+
+        def kill_in_between(report):
+            # in the middle of computations, three times; a new one comes in its place
+            if len(killed) < 3 and report.running and report.done >= len(killed):
+                process = processes.pop(0)
+                process.send_signal(signal.SIGKILL)
+                process.wait()
+                killed.append(report)
+                processes.append(stack.enter_context(worker(file)))
+
+        result = run_batch(batch, scheduler=str(file), progress=kill_in_between)
+        assert len(killed) == 3
+        again = run_batch(batch, scheduler=str(file))
+
+    assert [outcome.name for outcome in result.failed] == ["sdamaged"]
+    assert "damaged.npz" in result.failed[0].message
+    done = [outcome.name for outcome in result.outcomes if outcome.status != "failed"]
+    assert {name: content(batch.folder / name) for name in done} == reference
+    assert [o.status for o in again.outcomes] == ["earlier"] * 2 + ["failed"] + ["earlier"] * 2
+
+    written = pd.read_csv(batch.folder / "scans.csv")
+    assert list(written["scan"]) == ["s0", "s1", "sdamaged", "s2", "s3"]
+    assert list(written["status"]) == ["done", "done", "failed", "done", "done"]
+    assert written["window_force_mN"].notna().sum() == 4
+    assert list(written["bump.area_mm2"].dropna()) == pytest.approx([0.25] * 4)
+    assert (written["bump.mean_kPa"].dropna() < 0).all()
+    stored = pd.read_parquet(batch.folder / "scans.parquet")
+    numbers = list(stored.select_dtypes("number"))
+    assert {"window_force_mN", "bump.mean_kPa", "seconds"} <= set(numbers)
+    pd.testing.assert_frame_equal(stored[numbers], written[numbers], check_dtype=False)
+    page = (batch.folder / "index.html").read_text()
+    assert page.count("data:image/png") == 4 + 1  # and the scale
+    assert 'href="sdamaged.error.txt"' in page
+    assert "4 done, 1 failed" in page
+
+
+def command(*arguments):
+    return subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "from optical_palpation.cli import main; main()",
+            *map(str, arguments),
+        ],
+        env=os.environ | {"NUMBA_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+@pytest.mark.slow
+def test_client_that_is_killed_or_interrupted_goes_on_later(tmp_path, reference):
+    make_scans(tmp_path, 4)
+    source = table(tmp_path, [f"{n}.npz" for n in range(4)])
+    results = tmp_path / "table-results"
+
+    def finished():
+        return sum(
+            json.loads(path.read_text())["complete"] for path in results.glob("*/provenance.json")
+        )
+
+    def started_and_some_done(count):
+        process = command("batch", source, "--workers", "2")
+        deadline = time.monotonic() + 300
+        while finished() < count:
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        return process
+
+    process = started_and_some_done(1)
+    process.kill()
+    process.communicate()
+
+    process = started_and_some_done(2)
+    before = finished()
+    if before < 4:
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does on Ctrl-C
+        _, err = process.communicate(timeout=120)
+        if finished() < 4:
+            assert process.returncode == 130, err
+            assert "interrupted" in err
+            written = pd.read_csv(results / "scans.csv")
+            assert len(written) == 4
+    else:
+        process.communicate()
+
+    process = command("batch", source, "--workers", "2")
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
+    assert "4 of 4 scans done" in out
+    assert {f"s{n}": content(results / f"s{n}") for n in range(4)} == reference
+    leftovers = [p for p in results.rglob(".*") if p.name != ".lock"]
+    assert not leftovers
+
+
+def test_scan_that_ends_its_workers_is_given_up(tmp_path, monkeypatch):
+    """A dispatcher on workers that vanish: no other scan suffers."""
+    from optical_palpation.batch import run
+    from optical_palpation.batch.cluster import Workers
+
+    scans = read_batch(_plain(tmp_path, ["good", "deadly", "fine"])).scans
+
+    class Scheduler:
+        def identity(self, n_workers):
+            raise AssertionError
+
+    class Future:
+        def __init__(self, name):
+            self.name = name
+            self.status = "pending" if name == "deadly" else "finished"
+
+        def done(self):
+            return self.status == "finished"
+
+        def result(self):
+            return run.Outcome(self.name, "done")
+
+    class Client:
+        scheduler = Scheduler()
+
+        def __init__(self):
+            self.count, self.workers = 0, ["w0"]
+
+        def sync(self, *_, **__):
+            return {"workers": dict.fromkeys(self.workers)}
+
+        def run(self, function, workers, on_error):
+            return dict.fromkeys(workers, function())
+
+        def submit(self, function, scan, *_, **options):
+            assert options["workers"] == [self.workers[0]]
+            if scan.name == "deadly":  # takes its worker along, and another comes
+                self.count += 1
+                self.workers = [f"w{self.count}"]
+            return Future(scan.name)
+
+        def subscribe_topic(self, *_):
+            pass
+
+        unsubscribe_topic = subscribe_topic
+
+        def cancel(self, futures, force):
+            assert not futures
+
+    monkeypatch.setattr("distributed.wait", lambda *_, **__: None)
+    outcomes = {}
+    needs = dict.fromkeys((scan.name for scan in scans), 1e9)
+    client = Client()
+    run._Dispatcher(
+        Workers(client, None), tmp_path, list(scans), needs, outcomes, lambda _: None
+    ).run()
+    assert client.count == _LOSSES
+    assert {name: outcome.status for name, outcome in outcomes.items()} == {
+        "good": "done",
+        "fine": "done",
+        "deadly": "failed",
+    }
+    assert "lost 3 times" in outcomes["deadly"].message
+    assert "1.0 GB" in outcomes["deadly"].message
+
+
+def test_memory_of_this_machine_is_not_promised_twice(tmp_path):
+    from optical_palpation.batch import run
+    from optical_palpation.batch.cluster import Workers, _workers_for
+
+    scans = read_batch(_plain(tmp_path, ["a", "b", "c"])).scans
+    needs = {"a": 6e9, "b": 1e9, "c": 3e9}
+    crew = Workers(None, memory=9e9, process=0.5e9)
+    dispatcher = run._Dispatcher(crew, tmp_path, list(scans), needs, {}, lambda _: None)
+    assert dispatcher._fits(scans[0])
+    dispatcher.running = {"a": (scans[0], "w0", None)}
+    assert dispatcher._fits(scans[1])  # 0.5 + 6 + 0.5 + 1
+    assert not dispatcher._fits(scans[2])
+    assert _workers_for([1e9] * 10, 4, 100e9) == 4
+    assert _workers_for([1e9] * 2, 4, 100e9) == 2
+    assert _workers_for([1e9] * 10, 4, 3.2e9) == 2
+    assert _workers_for([None, 50e9], 4, 3e9) == 1
+
+
+def _plain(folder, names):
+    path = folder / "plain.csv"
+    path.write_text("\n".join(["name,study", *(f"{name},study.toml" for name in names)]))
+    return path
+
+
+def test_no_scheduler_there(tmp_path):
+    make_scans(tmp_path, 1)
+    batch = Batch(tmp_path, read_batch(table(tmp_path, ["0.npz"])).scans, tmp_path / "out")
+    with pytest.raises(InputError, match="at least 1"):
+        run_batch(batch, workers=0)
+    missing = str(tmp_path / "none.json")
+    with pytest.raises(InputError, match=r"none\.json: no such scheduler file"):
+        run_batch(batch, scheduler=missing)
