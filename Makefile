@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint package clean
+.PHONY: demo test test-quick lint package clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -17,8 +17,13 @@ $(VENV)/.installed-test: $(VENV)/.installed
 demo: $(VENV)/.installed
 	$(BIN)/optical-palpation demo --output demo-output
 
+# All tests, on all cores; PYTEST_OPTIONS goes to pytest.
 test: $(VENV)/.installed-test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist loadscope $(PYTEST_OPTIONS)
+
+# Those that take no time, for after every change.
+test-quick: $(VENV)/.installed-test
+	$(BIN)/python -m pytest --numprocesses auto --dist loadscope -m quick $(PYTEST_OPTIONS)
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .

@@ -1,5 +1,7 @@
 """Fixtures and settings common to all tests."""
 
+import re
+import signal
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,57 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 settings.load_profile("project")
+
+# Whatever starts the tests may have signals ignored, as nohup and the background of a shell do; the
+# commands under test would inherit that and could not be interrupted.
+for _name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXFSZ"):
+    _number = getattr(signal, _name, None)
+    if _number is not None and signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(
+            _number,
+            signal.default_int_handler if _number == signal.SIGINT else signal.SIG_DFL,
+        )
+
+#: Test files that need no solver of the layer but a small one: what to run after every change.
+QUICK = {
+    *("algebraic", "analysis", "bad_input", "cleaning", "elements", "files", "material_fit"),
+    *("material_laws", "parallel", "regions", "stencil", "study_file", "thickness_cleaning"),
+    *("thickness_errors", "thickness_maps", "volume_readers"),
+}
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--allowed-skips",
+        type=Path,
+        help="file of regular expressions, one a line: skips for any other reason are failures",
+    )
+
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "quick: one of the files that make test-quick runs")
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if item.path.stem.removeprefix("test_") in QUICK and not item.get_closest_marker("slow"):
+            item.add_marker("quick")
+
+
+def pytest_sessionfinish(session):
+    """Fail where a test was skipped that should run; with xdist where the reports arrive."""
+    path = session.config.getoption("--allowed-skips")
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if path is None or reporter is None or hasattr(session.config, "workerinput"):
+        return
+    lines = path.read_text(encoding="utf-8").splitlines()
+    allowed = [line for line in lines if line.strip() and not line.startswith("#")]
+    for report in reporter.stats.get("skipped", []):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        reason = reason.removeprefix("Skipped: ")
+        if not any(re.fullmatch(pattern, reason) for pattern in allowed):
+            reporter.write_line(f"UNEXPECTED SKIP {report.nodeid}: {reason}", red=True)
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 @pytest.fixture(scope="session")
