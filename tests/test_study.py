@@ -89,7 +89,11 @@ def test_from_new_to_results(here, run):
         ('#axes = "yzx"', 'axes = "yzx"'),
         ("#spacing = { z = 0.0035, y = 0.01, x = 0.01 }", "spacing = {z=0.0029, y=0.03, x=0.03}"),
         ('#scale = "dB"', 'scale = "linear"'),
-        ("element_size = 0.125", "element_size = [0.2, 0.2, 0.1]"),
+        ('c10 = "FILL IN"', "c10 = 2.23"),
+        ('c01 = "FILL IN"', "c01 = 0.703"),
+        ('window = "FILL IN"', "window = 0.15"),
+        ('sample = "FILL IN"', "sample = 0.05"),
+        ('element_size = "FILL IN"', "element_size = [0.2, 0.2, 0.1]"),
         ("#threads = 2", "threads = 1"),
     ):
         assert old in text

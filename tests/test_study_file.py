@@ -38,6 +38,10 @@ def paths_in(table, tables=()):
 
 def test_the_template_is_a_study_and_shows_every_key(here):
     write_template("new.toml")
+    filled = (here / "new.toml").read_text()
+    for key, value in (("c10", 2.23), ("c01", 0.703), ("window", 0.15), ("sample", 0.05)):
+        filled = filled.replace(f'{key} = "FILL IN"', f"{key} = {value}")
+    (here / "new.toml").write_text(filled.replace('"FILL IN"    # or [x', "0.125    # or [x"))
     study = read_study("new.toml")
     assert isinstance(study.loaded, VolumeInput)
     text = (here / "new.toml").read_text()

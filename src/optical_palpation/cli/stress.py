@@ -165,6 +165,8 @@ def stress(
 
     from optical_palpation import present, thickness
     from optical_palpation.material import make_law
+    from optical_palpation.palpation import algebraic_stress
+    from optical_palpation.palpation.plausibility import check_field, check_layer, check_stress
     from optical_palpation.present.output import write_each
 
     thickness_is_map = not _is_number(initial_thickness)
@@ -193,12 +195,16 @@ def stress(
     material = make_law(
         law.value, bulk_to_shear, c10=c10, c01=c01, c20=c20, c30=c30, mu=mu, alpha=alpha
     )
+    check_layer(material)
     cleaned = read(map, variable, layer_extent=layer_extent)
     loaded = cleaned["thickness"]
-    initial: Any = initial_thickness
+    width, height = (float(loaded[axis][-1] - loaded[axis][0]) for axis in "xy")
+    check_field(width, height, str(map))
+    initial: Any = initial_thickness if thickness_is_map else float(initial_thickness)
     if thickness_is_map:
         initial = read(Path(initial_thickness), initial_variable)["thickness"]
 
+    check_stress(algebraic_stress(loaded, initial, material))
     if method is Method.ALGEBRAIC:
         from optical_palpation.palpation import algebraic_result
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import xarray as xr
 
 from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.material import Law
+from optical_palpation.palpation.plausibility import unusual
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.thickness.frames import inside_layer, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
@@ -105,4 +108,5 @@ def algebraic_result(
             "no_contact_share": stress.attrs["no_contact_share"],
         },
     )
+    maps.attrs["unusual"] = json.dumps(unusual(material, maps))
     return StressResult(maps)

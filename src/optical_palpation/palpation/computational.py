@@ -32,6 +32,7 @@ from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem, La
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.memory import check_memory
 from optical_palpation.palpation.motion import match_sample_motion
+from optical_palpation.palpation.plausibility import check_elements, unusual
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
@@ -214,6 +215,7 @@ def computational_stress(
         ),
         "volume_change_percent": 100 * float(_volume_change(solution)),
     }
+    maps.attrs["unusual"] = json.dumps(unusual(material, maps))
     if motion is not None:
         maps.attrs |= motion.attrs
     return StressResult(maps, layer, problem, solution.state)
@@ -276,16 +278,7 @@ def _element_sizes(
         raise InputError(f"element_size must be one or three positive numbers in mm, not {given!r}")
     x, y, z = (float(v) for v in np.broadcast_to(values, 3))
     x0, x1, y0, y1 = layer_extent_of(loaded)
-    for axis, size, limit, what in (
-        ("z", z, thickness, "the thickness of the layer"),
-        ("x", x, 0.25 * (x1 - x0), "a quarter of the field of view"),
-        ("y", y, 0.25 * (y1 - y0), "a quarter of the field of view"),
-    ):
-        if size > limit * (1 + 1e-9):
-            raise InputError(
-                f"the element size along {axis}, {size:g} mm, is larger than {what}, {limit:g} mm; "
-                "give a smaller one (it is in mm)"
-            )
+    check_elements((x, y, z), (x1 - x0, y1 - y0), thickness, "the thickness of the layer")
     elements = (x1 - x0) / x * (y1 - y0) / y * thickness / z
     if elements > MOST_ELEMENTS:
         raise InputError(

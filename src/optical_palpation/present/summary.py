@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 
 from optical_palpation.palpation.result import ContactState, StressResult
@@ -63,4 +65,5 @@ def summarise(result: StressResult) -> str:
                 "WARNING: so much of the thickness map is made up that the stress in and around "
                 "the gaps is a guess"
             )
+    lines += [f"WARNING: {text}" for text in json.loads(maps.attrs.get("unusual", "[]"))]
     return "\n".join(lines)

@@ -25,6 +25,9 @@ from optical_palpation.study.schema import (
     kind_of_input,
 )
 
+#: What the template holds in place of values that only the user knows.
+PLACEHOLDER = "FILL IN"
+
 
 def write_template(path: str | Path) -> None:
     """Write a commented study file to begin with.
@@ -71,7 +74,10 @@ def read_study(path: str | Path, changes: Mapping[str, object] | None = None) ->
         raise InputError(f"{path}: is no valid TOML: {error}") from error
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: the study file cannot be read ({error})") from error
-    study = make_study(changed(given, changes or {}), path)
+    given = changed(given, changes or {})
+    if unfilled := list(_unfilled(given)):
+        raise InputError(f"{path}: these have still to be filled in:\n" + "\n".join(unfilled))
+    study = make_study(given, path)
     if not changes:
         study._sha256 = hashlib.sha256(content).hexdigest()
     return study
@@ -140,6 +146,15 @@ def make_study(given: Mapping[str, Any], file: Path) -> Study:
     study._sha256 = hashlib.sha256(said.encode("utf-8", "surrogatepass")).hexdigest()
     _check(study)
     return study
+
+
+def _unfilled(given: Mapping[str, Any], tables: tuple[str, ...] = ()) -> Iterator[str]:
+    """Keys that still hold what the template holds in place of a value."""
+    for key, value in given.items():
+        if isinstance(value, Mapping):
+            yield from _unfilled(value, (*tables, key))
+        elif value == PLACEHOLDER:
+            yield f"  {'.'.join((*tables, key))}{_hint([*tables, key])}"
 
 
 def _check(study: Study) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from optical_palpation.errors import InputError
 from optical_palpation.study.inputs import Unchanged, facts, parameters, read_motion
+from optical_palpation.study.plausible import check_study
 from optical_palpation.study.record import Progress, make_all
 from optical_palpation.study.schema import Study
 from optical_palpation.study.stages import THICKNESS, Stages
@@ -81,6 +82,7 @@ def run_study(
         "inputs": inputs,
     }
     unchanged()
+    check_study(study, inputs)
     stages = Stages(study).plan(inputs)
     until = THICKNESS if thickness_only else None
     files, earlier = make_all(

@@ -19,6 +19,7 @@ import xarray as xr
 from optical_palpation import present
 from optical_palpation.files import readable_name
 from optical_palpation.palpation import algebraic_result, computational_stress
+from optical_palpation.palpation.plausibility import check_stress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.study.inputs import (
     by_side,
@@ -213,6 +214,7 @@ class Stages:
             thickness["initial_thickness"],
             self.study.material.make(),
         )
+        check_stress(result.maps["axial_stress"])
         present.write_result(self._stress_of(thickness, result), path)
 
     def _computational(self, path: Path, tell: Tell) -> None:
@@ -277,7 +279,7 @@ def _from_result(write: Callable[[StressResult, Path], None]) -> Make:
 def warnings_about(result: StressResult) -> list[str]:
     """Say in plain words what casts doubt on a result, beyond what its summary says."""
     attrs = result.maps.attrs
-    said = []
+    said = list(json.loads(attrs.get("unusual", "[]")))
     for key, which in (("filled_share", "loaded"), ("initial_filled_share", "unloaded")):
         if (share := attrs.get(key, 0.0)) > _NOTABLE_FILLED:
             said.append(

@@ -1,0 +1,155 @@
+"""Whether the numbers of a computation can be those of a layer, taken by themselves and together.
+
+What cannot be is refused; what is only unusual is said. The limits are those of matter and of
+instruments, far from what measurements come near to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.errors import InputError, MaterialError
+from optical_palpation.material import Law
+
+#: Young's modulus, kPa: the hardest rubbers have 20 MPa (Shore A 95) ...
+HARDEST_LAYER = 2e4
+#: ... and PDMS as it is sold for soft lithography (Sylgard 184, 10 : 1) has up to 3 MPa: a layer
+#: stiffer than that is no compliant one.
+STIFF_LAYER = 3e3
+#: Mean stress, kPa: ten atmospheres. It presses on a field of 5 x 5 mm with the weight of 2.5 kg;
+#: soft tissue is destroyed by a tenth of it.
+LARGEST_MEAN_STRESS = 1e3
+#: Widest field and thickest layer, mm: an ultrasound array sees 60 mm by 40 mm.
+WIDEST_FIELD, THICKEST_LAYER = 500.0, 100.0
+
+
+def check_layer(law: Law) -> None:
+    """Refuse a law stiffer than any rubber.
+
+    Raises
+    ------
+    MaterialError
+        With its Young's modulus, and what may have happened.
+    """
+    modulus = law.initial_youngs_modulus
+    if modulus > HARDEST_LAYER:
+        raise MaterialError(
+            f"the layer's initial Young's modulus would be {modulus / 1e3:.3g} MPa, and the hardest"
+            f" rubbers have {HARDEST_LAYER / 1e3:g} MPa. Coefficients are in kPa: divide them by "
+            "1000 if they are in Pa"
+        )
+
+
+def check_field(width: float, height: float, where: str) -> None:
+    """Refuse a field of view (mm) wider than any instrument sees.
+
+    Raises
+    ------
+    InputError
+        With the width, and what may have happened.
+    """
+    if max(width, height) > WIDEST_FIELD:
+        raise InputError(
+            f"{where}: the field of view would be {width:g} x {height:g} mm, and no instrument sees"
+            f" {WIDEST_FIELD:g} mm. Lengths are in mm: divide the spacing by 1000 if it is in um"
+        )
+
+
+def check_elements(
+    size: float | Sequence[float], field: tuple[float, float], depth: float, what: str
+) -> None:
+    """Refuse elements (mm) that are larger than what they are to resolve.
+
+    Parameters
+    ----------
+    size
+        Size of the elements, one number or x, y and z.
+    field
+        Width of the field of view along x and y.
+    depth
+        A thickness that the layer does not exceed.
+    what
+        What that thickness is, in words.
+
+    Raises
+    ------
+    InputError
+        Naming the axis and the limit.
+    """
+    x, y, z = (float(v) for v in np.broadcast_to(np.atleast_1d(size), 3))
+    for axis, value, limit, of in (
+        ("x", x, 0.25 * field[0], "a quarter of the field of view"),
+        ("y", y, 0.25 * field[1], "a quarter of the field of view"),
+        ("z", z, depth, what),
+    ):
+        if value > limit * (1 + 1e-9):
+            raise InputError(
+                f"the element size along {axis}, {value:g} mm, is larger than {of}, {limit:g} mm; "
+                "give a smaller one (it is in mm)"
+            )
+
+
+def check_stress(algebraic: xr.DataArray) -> None:
+    """Refuse a mean stress that no sample bears.
+
+    Parameters
+    ----------
+    algebraic
+        Stress by the algebraic method, kPa, which costs nothing and tells the order of magnitude.
+
+    Raises
+    ------
+    InputError
+        With the stress, and what may have happened.
+    """
+    mean = -float(algebraic.mean())
+    if mean > LARGEST_MEAN_STRESS:
+        raise InputError(
+            f"the layer would bear {mean:.4g} kPa on average, more than {LARGEST_MEAN_STRESS:g} kPa"
+            " (ten atmospheres), which samples and windows do not. Are the material's coefficients"
+            " in Pa (divide them by 1000), or is the loaded map not that of this layer?"
+        )
+
+
+def unusual(law: Law, maps: xr.Dataset) -> list[str]:
+    """Say what is possible but rare about a layer and its result.
+
+    Parameters
+    ----------
+    law
+        Law of the layer.
+    maps
+        Maps of a result, with ``loaded_thickness`` and the attribute ``initial_thickness_mm``.
+    """
+    said = []
+    if (modulus := law.initial_youngs_modulus) > STIFF_LAYER:
+        said.append(
+            f"the layer is as stiff as hard rubber (Young's modulus {modulus / 1e3:.3g} MPa): are "
+            "its coefficients in kPa?"
+        )
+    thickness = maps.attrs["initial_thickness_mm"]
+    width = min(float(np.ptp(maps[axis].values)) for axis in "yx")
+    if thickness > width:
+        said.append(
+            f"the layer is thicker ({thickness:.3g} mm) than the field of view is wide "
+            f"({width:.3g} mm): its sides decide the stress everywhere"
+        )
+    return said
+
+
+def check_depth(thickness: float, where: str) -> None:
+    """Refuse a thickness (mm) that no compliant layer has.
+
+    Raises
+    ------
+    InputError
+        With the thickness, and what may have happened.
+    """
+    if thickness > THICKEST_LAYER:
+        raise InputError(
+            f"{where}: a layer of {thickness:g} mm is thicker than {THICKEST_LAYER:g} mm. Lengths "
+            "are in mm: divide by 1000 if it is in um"
+        )

@@ -1,0 +1,125 @@
+"""A study's numbers against each other, once the files are open and before they are worked on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from optical_palpation.errors import InputError, MaterialError
+from optical_palpation.palpation.plausibility import (
+    check_depth,
+    check_elements,
+    check_field,
+    check_layer,
+)
+from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
+from optical_palpation.thickness import read_thickness_map
+
+
+def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuse numbers that cannot be those of a layer, or do not fit to the files or each other.
+
+    Parameters
+    ----------
+    study
+        The study.
+    inputs
+        Facts about its files, by ``unloaded`` and ``loaded``
+        (:func:`~optical_palpation.study.inputs.facts`).
+
+    Raises
+    ------
+    InputError, MaterialError
+        With the table of the study, the number, what it contradicts and what may have happened.
+    """
+    where = f"{study.file}"
+    try:
+        check_layer(study.material.make())
+    except MaterialError as error:
+        raise MaterialError(f"{where}, [material]: {error}") from error
+    fields, depths = {}, []
+    for side, source in study.inputs.items():
+        if isinstance(source, VolumeInput):
+            start, length = _extent_of_volume(inputs[side]["metadata"])
+            fields[side] = (start[2], start[2] + length[2], start[1], start[1] + length[1])
+            depths.append((length[0], f"the depth of the {side} volume"))
+            _check_ranges(source, start[0], start[0] + length[0], f"{where}, [{side}]")
+        else:
+            fields[side] = _field_of_map(study, source)
+            depths.append((_thickest(study, source), f"the {side} layer"))
+        x0, x1, y0, y1 = fields[side]
+        check_field(x1 - x0, y1 - y0, f"{where}, [{side}]")
+    for depth, what in depths:
+        check_depth(depth, f"{where}, {what}")
+    if isinstance(study.unloaded, NumberInput):
+        given = study.unloaded.thickness
+        check_depth(given, f"{where}, unloaded.thickness")
+        depth, what = depths[0]
+        if isinstance(study.loaded, VolumeInput) and given > depth:
+            raise InputError(
+                f"{where}: unloaded.thickness = {given:g} mm is more than {what}, {depth:g} mm; "
+                "lengths are in mm"
+            )
+        depths.append((given, "unloaded.thickness"))
+    x0, x1, y0, y1 = _layer(study, fields["loaded"])
+    depth, what = min(depths)
+    try:
+        check_elements(study.grid.element_size, (x1 - x0, y1 - y0), depth, what)
+    except InputError as error:
+        raise InputError(f"{where}, [grid]: {error}") from error
+    smoothing, widest = study.grid.imprint_smoothing, 0.25 * min(x1 - x0, y1 - y0)
+    if smoothing is not None and smoothing > widest:
+        raise InputError(
+            f"{where}: grid.imprint_smoothing = {smoothing:g} mm is larger than a quarter of the "
+            f"field of view, {widest:g} mm, and would leave no relief (it is in mm)"
+        )
+
+
+def _extent_of_volume(metadata: Mapping[str, Any]) -> tuple[list[float], list[float]]:
+    """First position and length along z, y and x, mm."""
+    steps = zip(metadata["shape"], metadata["spacing"], strict=True)
+    return list(metadata["origin"]), [(count - 1) * step for count, step in steps]
+
+
+def _field_of_map(study: Study, source: MapInput) -> tuple[float, float, float, float]:
+    read = _read(study, source)
+    x, y = read["x"].values, read["y"].values
+    return float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
+
+
+def _thickest(study: Study, source: MapInput) -> float:
+    return float(np.nanmax(_read(study, source).values))
+
+
+def _read(study: Study, source: MapInput) -> Any:
+    return read_thickness_map(study.path(source.map), **source.model_dump(exclude={"map"}))
+
+
+def _check_ranges(source: VolumeInput, shallow: float, deep: float, where: str) -> None:
+    for key in ("window_range", "sample_range"):
+        given = getattr(source, key)
+        if given is not None and (given[0] > deep or given[1] < shallow):
+            raise InputError(
+                f"{where}: {key} = {list(given)} mm lies outside the volume, which is {shallow:g} "
+                f"to {deep:g} mm deep; the search range is in mm"
+            )
+    if isinstance(source.window, float) and not shallow <= source.window <= deep:
+        raise InputError(
+            f"{where}: window = {source.window:g} mm lies outside the volume, which is {shallow:g} "
+            f"to {deep:g} mm deep"
+        )
+
+
+def _layer(study: Study, field: tuple[float, ...]) -> tuple[float, float, float, float]:
+    """x0, x1, y0, y1 of the part of the loaded map that the layer covers."""
+    given = study.layer.extent or field
+    x0, y0 = max(given[0], field[0]), max(given[2], field[2])
+    x1, y1 = min(given[1], field[1]), min(given[3], field[3])
+    if not (x0 < x1 and y0 < y1):
+        raise InputError(
+            f"{study.file}: layer.extent = {list(given)} mm has no part in the loaded map, "
+            f"x {field[0]:g} to {field[1]:g} mm, y {field[2]:g} to {field[3]:g} mm"
+        )
+    return x0, x1, y0, y1

@@ -1,0 +1,146 @@
+"""Numbers that can be read and make no sense are refused before anything is computed, or said."""
+
+import json
+
+import numpy as np
+import pytest
+
+from optical_palpation.errors import InputError, MaterialError
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation import algebraic_result
+from optical_palpation.present import summarise
+from optical_palpation.study import read_study, run_study, stages, warnings_about, write_template
+from optical_palpation.thickness import thickness_map
+from study_case import LOADED, STUDY, UNLOADED, make_study
+
+MAPS = (
+    STUDY[STUDY.index("[material]") :]
+    + """
+[unloaded]
+thickness = 0.42
+[loaded]
+map = "pressed.npy"
+pixel_spacing = [0.03, 0.03]
+"""
+)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Volumes and a map, in a folder where no boundary is sought and no stress computed."""
+
+    def work(*arguments, **options):
+        raise AssertionError("the study got as far as the work")
+
+    for name in ("find_boundaries", "computational_stress", "read_thickness_map"):
+        monkeypatch.setattr(stages, name, work)
+    monkeypatch.chdir(tmp_path)
+    nz = 230
+    for name, thickness in (("unloaded", UNLOADED), ("loaded", LOADED)):
+        np.save(f"{name}.npy", np.ones((thickness.shape[0], nz, thickness.shape[1]), np.float32))
+    np.save("pressed.npy", LOADED)
+    return tmp_path
+
+
+SPACED = "spacing = { z = 0.0029, y = 0.03, x = 0.03 }"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("c10 = 2.23", "c10 = 22300.0", ["Young's modulus", "Pa", "1000"]),
+        (SPACED, "spacing = { z = 2.9, y = 30.0, x = 30.0 }", ["spacing in another unit", "mm"]),
+        (
+            "[0.2, 0.2, 0.1]",
+            "30",
+            ["[grid]", "element size along x, 30 mm", "quarter of the field"],
+        ),
+        ("[0.2, 0.2, 0.1]", "[0.2, 0.2, 0.7]", ["element size along z, 0.7 mm", "depth"]),
+        ("[0.2, 0.2, 0.1]", "125", ["element size", "in mm"]),
+        ("threads = 1", "imprint_smoothing = 62.5", ["imprint_smoothing = 62.5", "in mm"]),
+        ('volume = "unloaded.npy"', "thickness = 420.0", ["unloaded.thickness", "420"]),
+        ('volume = "unloaded.npy"', "thickness = 1.5", ["more than the depth of the loaded"]),
+        ("[volumes]", "[volumes]\nsample_range = [300, 400]", ["sample_range", "outside"]),
+        ("[volumes]", "[volumes]\nwindow = 60.0", ["window = 60", "outside"]),
+        ("[grid]", "[layer]\nextent = [20, 30, 0, 1]\n[grid]", ["layer.extent", "no part"]),
+    ],
+)
+def test_a_study_of_volumes_is_refused_before_they_are_worked_on(here, old, new, words):
+    assert old in STUDY
+    study = read_study(make_study(here, STUDY.replace(old, new)))
+    with pytest.raises(InputError) as error:
+        run_study(study)
+    for word in ["study.toml", *words]:
+        assert word in str(error.value)
+    assert not (here / "study-results").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[0.03, 0.03]", "[30.0, 30.0]", "field of view"),
+        ("[0.2, 0.2, 0.1]", "30", "element size"),
+        ("[0.2, 0.2, 0.1]", "[0.2, 0.2, 0.45]", "along z, 0.45 mm, is larger than"),
+    ],
+)
+def test_a_study_of_maps(here, old, new, words):
+    study = read_study(make_study(here, MAPS.replace(old, new)))
+    with pytest.raises(InputError, match=words):
+        run_study(study)
+
+
+def test_the_good_studies_get_as_far_as_the_work(here):
+    for text in (STUDY, MAPS):
+        with pytest.raises(AssertionError, match="as far as the work"):
+            run_study(read_study(make_study(here, text)))
+
+
+def test_coefficients_in_pa_are_refused_by_the_stress_they_would_mean(here, run, monkeypatch):
+    arguments = ["stress", "pressed.npy", "--pixel-spacing", 0.03, 0.03, "--initial-thickness"]
+    arguments += [0.42, "--c01", 703, "--method", "algebraic", "--output", "o.nc"]
+    status, _, err = run(*arguments, "--c10", 2230)
+    assert status == 2
+    assert "kPa on average" in err
+    assert "Pa (divide them by 1000)" in err
+    assert not (here / "o.nc").exists()
+    status, _, err = run(*arguments, "--c10", 5230)
+    assert status == 2
+    assert "hardest rubbers" in err
+
+
+def test_what_is_only_unusual_is_said():
+    loaded = thickness_map(np.full((5, 5), 0.49), pixel_spacing=(0.2, 0.2))
+    usual = algebraic_result(loaded, 0.5, MooneyRivlin(2.23, 0.703))
+    stiff = algebraic_result(loaded, 0.5, MooneyRivlin(600.0))
+    thick = thickness_map(np.full((5, 5), 0.49), pixel_spacing=(0.05, 0.05))
+    for result, words in (
+        (usual, None),
+        (stiff, "as stiff as hard rubber"),
+        (algebraic_result(thick, 0.5, MooneyRivlin(2.23)), "thicker"),
+    ):
+        said = json.loads(result.maps.attrs["unusual"])
+        assert len(said) == (words is not None)
+        assert ("WARNING" in summarise(result)) == (words is not None)
+        if words:
+            assert words in said[0]
+            assert words in warnings_about(result)[0]
+
+
+def test_the_template_refuses_until_it_is_filled_in(here):
+    write_template("new.toml")
+    text = (here / "new.toml").read_text()
+    assert not [line for line in text.splitlines() if line.startswith(("c10 = 2", "window = 0"))]
+    with pytest.raises(InputError) as error:
+        read_study("new.toml")
+    for key in ("material.c10", "material.c01", "friction.window", "friction.sample"):
+        assert f"  {key}" in str(error.value)
+    assert "grid.element_size (mm" in str(error.value)
+    assert "have still to be filled in" in str(error.value)
+
+
+def test_a_material_that_no_rubber_is():
+    from optical_palpation.palpation.plausibility import check_layer
+
+    check_layer(MooneyRivlin(3000.0))
+    with pytest.raises(MaterialError, match="if they are in Pa"):
+        check_layer(MooneyRivlin(4000.0))
