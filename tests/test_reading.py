@@ -18,12 +18,15 @@ from optical_palpation.friction.volumes import read_pair
 from optical_palpation.material import read_uniaxial_test
 from optical_palpation.palpation import read_sample_motion
 from optical_palpation.thickness import (
+    Corrections,
     clean_thickness,
+    find_layer,
     match_initial_thickness,
     read_height_map,
     read_thickness_map,
     thickness_map,
 )
+from optical_palpation.thickness.corrections import Anchor, Exclusion
 from optical_palpation.volume import open_volume
 from optical_palpation.volume.units import length_unit, split_unit
 
@@ -356,6 +359,24 @@ def test_profile_whose_depth_has_a_unit(tmp_path):
     path = table(tmp_path / "p.csv", "depth_px,depth,displacement", depth, depth, depth)
     with pytest.raises(InputError, match="several columns"):
         read_profile(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("anchor sample 120 80 50", "Anchor.*x=120.0.*outside the volume"),
+        ("exclude window 100 200 10 20", "Exclusion.*outside the volume"),
+        ("anchor sample 0.1 0.1 9", "z .* to .*mm"),
+    ],
+)
+def test_corrections_beyond_the_volume_are_named(tmp_path, text, message):
+    path = tmp_path / "corrections.txt"
+    path.write_text(text)
+    noise = np.random.default_rng(0).rayleigh(size=(40, 8, 16)).astype(np.float32)
+    with pytest.raises(InputError, match=message):
+        find_layer(noise, spacing=(0.004, 0.02, 0.02), scale="linear", corrections=path)
+    inside = Corrections((Anchor("window", 0.0, 0.14, 0.1),), (Exclusion("sample", 0.3, 9, 0, 1),))
+    inside.check_inside((0.0, 0.0, 0.0), (0.004, 0.02, 0.02), (40, 8, 16))
 
 
 # --- scenes and motion --------------------------------------------------------------------------

@@ -147,6 +147,7 @@ def find_layer(
     tell = progress or (lambda share: None)
     scan = _scan(volume, spacing, scale, lambda share: tell(0.4 * share))
     fixes = _corrections(corrections)
+    fixes.check_inside(scan.origin, scan.spacing, scan.shape)
     ny, nx = scan.shape[1:]
     first, last = scan.depths(window_range, (0.0, scan.shape[0] - 1.0))
     ends = np.full((ny, nx), first), np.full((ny, nx), last)

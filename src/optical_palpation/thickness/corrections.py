@@ -41,6 +41,30 @@ class Corrections:
     anchors: tuple[Anchor, ...] = ()
     exclusions: tuple[Exclusion, ...] = ()
 
+    def check_inside(self, origin: Lengths, spacing: Lengths, shape: tuple[int, int, int]) -> None:
+        """Refuse corrections that lie outside a volume, given along (z, y, x): they do nothing.
+
+        Raises
+        ------
+        InputError
+            Naming the correction and what the volume spans.
+        """
+        low = [start - 0.5 * step for start, step in zip(origin, spacing, strict=True)]
+        high = [a + n * step for a, n, step in zip(low, shape, spacing, strict=True)]
+        spans = [(a.z, a.z, a.y, a.y, a.x, a.x) for a in self.anchors]
+        spans += [(low[0], low[0], e.y_min, e.y_max, e.x_min, e.x_max) for e in self.exclusions]
+        for correction, span in zip((*self.anchors, *self.exclusions), spans, strict=True):
+            ends = zip(span[::2], span[1::2], low, high, strict=True)
+            if any(to < lowest or start > highest for start, to, lowest, highest in ends):
+                volume = ", ".join(
+                    f"{axis} {a:.4g} to {b:.4g}"
+                    for axis, a, b in zip("zyx", low, high, strict=True)
+                )
+                raise InputError(
+                    f"corrections: {correction} lies outside the volume ({volume} mm). Lengths are "
+                    "in mm, in the coordinates of the volume"
+                )
+
     def anchor_pixels(
         self, boundary: str, origin: Lengths, spacing: Lengths
     ) -> list[tuple[float, float, float]]:
