@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 import volume_samples as samples
 from optical_palpation.errors import InputError
-from optical_palpation.experiment import Scene
+from optical_palpation.experiment import read_scene
 from optical_palpation.experiment.scene import ReliefFile, StiffnessFile
 from optical_palpation.friction import read_profile
 from optical_palpation.friction.volumes import read_pair
@@ -419,6 +419,10 @@ def test_stiffness_of_a_scene(tmp_path):
     np.testing.assert_array_equal(read(x=in_um, y=("y", Y, {"units": "mm"})), factor)
     with pytest.raises(InputError, match=r"stiffness\.nc: has no coordinates y"):
         read(x=in_um)
+    with h5py.File(tmp_path / "stiffness.nc", "r+") as file:
+        file["stiffness"].attrs["units"] = "kPa"
+    with pytest.raises(InputError, match="stiffness is in kPa; it must be a factor"):
+        StiffnessFile(kind="file", path=tmp_path / "stiffness.nc").apply(x, x, y, 0 * x)
     np.savez(tmp_path / "s.npz", stiffness=factor, x=X, y=Y)
     found = StiffnessFile(kind="file", path=tmp_path / "s.npz").apply(np.ones(x.shape), x, y, 0 * x)
     np.testing.assert_array_equal(found, factor)
@@ -439,9 +443,35 @@ def test_relief_in_memory_must_be_in_mm():
             map_height(wrong, *point)
 
 
-def test_scene_without_a_number_is_named():
-    with pytest.raises(ValueError, match="compression"):
-        Scene.model_validate({"layer": {"size": (1, 1)}})
+SCENE = """
+compression = 0.1
+[layer]
+size = [2, 2]
+[sample]
+size = [2, 2]
+thickness = 1
+[mesh]
+element_size = 0.25
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[layer]\nsize = [2, 2]", "[layer]\nsize = [2000, 2000]", "layer: .*not in mm"),
+        ("thickness = 1", "thickness = 1000", "sample: .*not in mm"),
+        ("compression = 0.1", "", "compression: Field required"),
+        ("compression", "compresion", "compresion: Extra inputs"),
+        ("0.25", "nan", "mesh.element_size"),
+    ],
+)
+def test_scene_files(tmp_path, old, new, message):
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE)
+    assert read_scene(path).layer.size == (2.0, 2.0)
+    path.write_text(SCENE.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        read_scene(path)
 
 
 def test_motion_by_labels_and_units(tmp_path):

@@ -10,12 +10,12 @@ from __future__ import annotations
 import tomllib
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from optical_palpation import material
@@ -23,7 +23,7 @@ from optical_palpation.errors import InputError
 from optical_palpation.volume.contents import translated_errors
 from optical_palpation.volume.labels import labelled
 from optical_palpation.volume.opening import MAP_READERS, open_contents
-from optical_palpation.volume.units import stated_unit
+from optical_palpation.volume.units import is_unit_key, stated_unit
 
 Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -58,11 +58,26 @@ class Law(_Part):
         return material.make_law(self.law, self.bulk_to_shear, **given)
 
 
+def _in_one_unit(body: Any) -> Any:
+    """Refuse a body that is so flat or so high that one of its lengths must be in another unit."""
+    for width in body.size:
+        if not 0.01 <= width / body.thickness <= 500:
+            raise ValueError(
+                f"size {width:g} mm and thickness {body.thickness:g} mm: one of them is probably "
+                "not in mm"
+            )
+    return body
+
+
 class Layer(Law):
     """The compliant layer: ``size`` (x, y) and ``thickness``, mm."""
 
     size: tuple[Positive, Positive]
     thickness: Positive = 0.5
+
+    @model_validator(mode="after")
+    def _in_one_unit(self) -> Self:
+        return _in_one_unit(self)
 
 
 class Sinusoid(_Part):
@@ -198,6 +213,10 @@ class Sample(Law):
     relief: tuple[Relief, ...] = ()
     stiffness: tuple[Feature, ...] = ()
 
+    @model_validator(mode="after")
+    def _in_one_unit(self) -> Self:
+        return _in_one_unit(self)
+
 
 class Friction(_Part):
     """Coulomb coefficients at the window, between layer and sample, and at the plate."""
@@ -331,6 +350,12 @@ def _read_factor(path: Path) -> xr.DataArray:
                 f"{path}: stiffness is {variable.dtype} of shape {variable.shape}; real numbers on "
                 "(y, x) or (z, y, x) are needed"
             )
+        for key in filter(is_unit_key, variable.attrs):
+            if str(variable.attrs[key]).strip() not in ("", "1", "-"):
+                raise InputError(
+                    f"{path}: stiffness is in {variable.attrs[key]}; it must be a factor, without "
+                    "a unit, of the sample's law"
+                )
         found = labelled(path, contents, "stiffness", axes)
     absent = [axis for axis, at in found.positions.items() if at is None]
     if absent:
