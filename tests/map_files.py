@@ -57,6 +57,11 @@ def add(name: str, write: Callable[[Path], Path], answer: Read | Refused, **opti
     CASES[name] = Case(write, options or FIELD, answer)
 
 
+def may_be_labels(values: np.ndarray) -> bool:
+    """Tell whether a first line or column is evenly spaced, as numbers of pixels are."""
+    return any(np.allclose(np.diff(edge, 2), 0.0) for edge in (values[0], values[:, 0]))
+
+
 # --- containers ---------------------------------------------------------------------------------
 
 
@@ -556,6 +561,15 @@ for name, content, answer in (
     ("short line", rows().replace(f",{MAP[2, 4]:.17g}", ""), Refused("line 3: 4 columns")),
     ("long line", rows().replace(f",{MAP[2, 4]:.17g}", ",0.4,0.4"), Refused("line 3: 6 columns")),
     ("header longer than the lines", f"{names},f\n" + rows(), Refused("header has 6 columns")),
+    ("first line of coordinates", "0.05,0.15,0.25,0.35,0.45\n" + rows(), Refused("evenly spaced")),
+    (
+        "first column of coordinates",
+        "".join(
+            f"{0.05 + 0.1 * n:.2f},{line}\n"
+            for n, line in enumerate(rows(values=np.tile(MAP, (2, 1))).splitlines())
+        ),
+        Refused("evenly spaced"),
+    ),
     ("list of points with a header", "x_mm,y_mm,L1\n" + points, Refused("list of points")),
     ("list of points", points, Refused("list of points")),
     ("title", "thickness of the layer\n" + rows(), Refused("header has 1 columns|no number")),

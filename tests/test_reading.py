@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+import map_files
 import volume_samples as samples
 from optical_palpation.errors import InputError
 from optical_palpation.experiment import read_scene
@@ -486,6 +487,44 @@ def test_motion_by_labels_and_units(tmp_path):
     for axis in "xy":
         np.testing.assert_allclose(found[f"sample_displacement_{axis}"], motion)
     np.testing.assert_allclose(found.x, X)
+
+
+@given(
+    values=hnp.arrays(
+        np.float64,
+        hnp.array_shapes(min_dims=2, max_dims=2, min_side=2, max_side=7),
+        elements=st.one_of(st.floats(0.25, 0.5), st.integers(1, 9), st.just(np.nan)),
+    ),
+    index=st.sampled_from([False, True, "coordinates"]),
+    header=st.sampled_from([False, True, "names", "coordinates"]),
+    separator=st.sampled_from([",", ";", "\t"]),
+    end=st.sampled_from(["", "", "separator"]),
+)
+def test_table_of_pandas_is_right_or_refused(tmp_path, values, index, header, separator, end):
+    """Whatever pandas writes beside the values: it is never taken for thickness."""
+    import pandas as pd
+
+    rows, columns = values.shape
+    frame = pd.DataFrame(values)
+    if index == "coordinates":
+        frame.index = 0.1 * np.arange(rows) + 0.05
+    if header == "coordinates":
+        frame.columns = 0.1 * np.arange(columns) + 0.05
+    names = list("abcdefg"[:columns]) if header == "names" else bool(header)
+    text = frame.to_csv(index=bool(index), header=names, sep=separator)
+    if end:
+        text = text.replace("\n", f"{separator}\n")
+    (tmp_path / "map.csv").write_text(text)
+    labelled = index == "coordinates" or header == "coordinates"
+    try:
+        found = read_thickness_map(tmp_path / "map.csv", field_of_view=(1, 1))
+    except InputError:
+        plain = not (index or header or end) and rows > 2 and columns > 2
+        assert not plain or np.isnan(values).any() or map_files.may_be_labels(values)
+        return
+    alone = (header, columns) if not index else (index, rows)
+    if not (labelled and alone[0] == "coordinates" and alone[1] < 5):  # too few to tell
+        np.testing.assert_array_equal(found, values)
 
 
 # --- any map, any convention --------------------------------------------------------------------

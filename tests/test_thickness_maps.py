@@ -8,11 +8,12 @@ import pytest
 import scipy.io
 import tifffile
 import xarray as xr
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.signal import find_peaks
 
+import map_files
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.thickness import (
     clean_thickness,
@@ -69,8 +70,8 @@ MAPS = hnp.arrays(
     st.sampled_from([np.float32, np.float64]),
     hnp.array_shapes(min_dims=2, max_dims=2, min_side=2, max_side=7),
     elements=st.one_of(
-        st.floats(2.0**-10, 2.0**10, width=32),
-        st.floats(2.0**-10, 2.0**10, width=32),
+        st.floats(2.0**-10, 2.0**6, width=32),
+        st.floats(2.0**-10, 2.0**6, width=32),
         st.just(float("nan")),
     ),
 ).filter(lambda map_: np.isfinite(map_).mean() >= 0.5)
@@ -79,6 +80,8 @@ MAPS = hnp.arrays(
 @pytest.mark.parametrize("name", WRITERS)
 @given(values=MAPS)
 def test_values_and_orientation_survive_every_format(tmp_path, name, values):
+    # Lines of evenly spaced numbers in text are refused: they may be labels.
+    assume(not name.endswith(("csv", "txt")) or not map_files.may_be_labels(values))
     WRITERS[name](tmp_path / name, values)
     rows, columns = values.shape
     result = read_thickness_map(tmp_path / name, field_of_view=(columns - 1, 2 * (rows - 1)))

@@ -109,9 +109,16 @@ def datasets(path: Path, file: Any) -> Iterator[tuple[str, Any]]:
             names.append(name)
         return True if count > _MAX_OBJECTS else None
 
-    # Follows neither soft nor external links: nothing outside this file is opened.
-    if file.visititems(visit):
-        raise InputError(f"{path}: holds more than {_MAX_OBJECTS} objects")
+    for root in file:
+        # Follows neither soft nor external links: nothing outside this file is opened. Groups with
+        # a # are MATLAB's own, and may hold a dataset for every cell.
+        if isinstance(file.get(root, getlink=True), h5py.HardLink) and not root.startswith("#"):
+            item = file[root]
+            visit(root, item)
+            if isinstance(item, h5py.Group):
+                item.visititems(lambda name, inner, root=root: visit(f"{root}/{name}", inner))
+        if count > _MAX_OBJECTS:
+            raise InputError(f"{path}: holds more than {_MAX_OBJECTS} objects")
     for name in names:
         yield name, file[name]
 

@@ -49,7 +49,7 @@ def _v73(path: Path) -> Contents:
         for name, item in hdf5.datasets(path, file):
             matlab_class = item.attrs.get("MATLAB_class", b"")
             text = matlab_class == b"char" or (name in DESCRIPTIONS and item.dtype == np.uint16)
-            if name.startswith("#") or matlab_class in (b"cell", b"function_handle"):
+            if matlab_class in (b"cell", b"function_handle"):
                 continue
             if item.size <= 100 and (name in DESCRIPTIONS or (text and is_unit_key(name))):
                 value = item[()]
