@@ -87,6 +87,17 @@ def test_other_kinds_of_input(here):
     assert map_.unloaded == MapInput(map="before.mat")
 
 
+def test_files_that_are_not_trusted(here):
+    from optical_palpation.study.inputs import reading
+
+    text = STUDY.replace('volume = "unloaded.npy"', 'map = "before.mat"\nuntrusted = true')
+    text = text.replace('volume = "loaded.npy"', 'volume = "loaded.npy"\nuntrusted = true')
+    study = read_study(make_study(here, text))
+    assert study.unloaded == MapInput(map="before.mat", untrusted=True)
+    assert isinstance(study.loaded, VolumeInput)
+    assert reading(study.loaded)["untrusted"] is True
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -17,7 +17,7 @@ from optical_palpation.study.schema import MapInput, Study, VolumeInput, Volumes
 from optical_palpation.thickness import find_layer
 from optical_palpation.volume import Volume, open_volume
 
-_READING = ("variable", "axes", "spacing", "scale", "refractive_index", "origin")
+_READING = ("variable", "axes", "spacing", "scale", "refractive_index", "origin", "untrusted")
 _FINDING = ("window", "sample", "window_range", "sample_range", "method")
 
 

@@ -60,6 +60,7 @@ class Volumes(Table):
     scale: Literal["linear", "dB"] | None = None
     refractive_index: Annotated[float, Field(ge=1, le=4)] | None = None
     origin: Origin | None = None
+    untrusted: bool | None = None
     window: Literal["line", "fall", "rise"] | float = "line"
     sample: Literal["rise", "line", "fall"] = "rise"
     window_range: Range | None = None
@@ -82,6 +83,7 @@ class MapInput(Table):
     length_unit: Literal["mm", "um"] | None = None
     field_of_view: Pair | None = None
     pixel_spacing: Pair | None = None
+    untrusted: bool | None = None
 
 
 class NumberInput(Table):
