@@ -17,6 +17,7 @@ from optical_palpation.experiment.recovery import (
     recovery_errors,
     spreading_sample,
 )
+from optical_palpation.experiment.scene import Box
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.cascade import make_solver, solve
 from optical_palpation.mechanics.grid import LayerGrid
@@ -223,6 +224,42 @@ def test_the_layer_alone_on_the_moving_surface_is_the_layer_of_the_experiment():
         errors.append(float((change / np.linalg.norm(forces, axis=(1, 2))).max()))
     assert errors[0] < 3e-4
     assert errors[1] > 0.1
+
+
+def test_the_layer_on_a_nearly_rigid_sample_is_the_layer_on_an_imprint():
+    """Each follows its own load path, on the same grid; the forces agree to 1 %."""
+    stiff = SOFT.sample.model_copy(
+        update={
+            "size": (2.8, 2.8),
+            "stiffness": (Box(kind="box", factor=1000.0),),
+        }
+    )
+    scene = SOFT.model_copy(
+        update={
+            "compression": 0.15,
+            "sample": stiff,
+            "mesh": SOFT.mesh.model_copy(update={"element_size": 0.2}),
+        }
+    )
+    assembly = build(scene)
+    solver = stack_newton.make_solver(assembly)
+    state = follow(assembly, at_rest(assembly), column_forces(assembly), solver).state
+    grid, pixels = assembly.bodies[LAYER].grid, np.linspace(-0.2, 2.2, 241)
+    height, motion = seen_surface(assembly, state.u, pixels)
+    assert abs(motion).max() < 2e-3
+    unloaded = np.full_like(height, 0.5)
+    problem = LayerProblem(
+        grid,
+        Imprint(pixels, pixels, unloaded, height),
+        MooneyRivlin(C10, C01),
+        (0.3, 0.2),
+        slip_length=assembly.slip_length,
+    )
+    force = state.forces[1].reshape(grid.node_shape[1:])
+    alone = solve(problem, lambda _: force, cascade=False).state
+    assert alone.normal_force[1].sum() == pytest.approx(force.sum(), rel=0.01)
+    error = np.linalg.norm(alone.normal_force[1] - force) / np.linalg.norm(force)
+    assert error < 0.03
 
 
 def test_the_true_motion_brings_back_the_true_stress_of_a_soft_sample():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -11,7 +13,7 @@ from optical_palpation.experiment.scene import Scene, map_height, volume_factor
 from optical_palpation.mechanics.body import Body
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.stack.contact import Sides
-from optical_palpation.mechanics.stack.problem import Stack
+from optical_palpation.mechanics.stack.problem import WINDOW, Stack, column_forces
 from optical_palpation.mechanics.stack.projection import Interface, Plane
 
 Array = NDArray[np.float64]
@@ -79,7 +81,7 @@ def build(
     )
     element_height, _, width = layer_grid.spacing
     window, interface, base = (grid.surface_areas(nodes).ravel() for grid, nodes in surfaces)
-    return Stack(
+    stack = Stack(
         bodies=(bodies_layer, bodies_sample),
         contacts=(
             Plane(number[0].ravel(), -1.0, friction.window),
@@ -97,6 +99,10 @@ def build(
         compression=scene.compression,
         slip_length=2e-3 * layer.thickness,
     )
+    pressure = column_forces(stack)[WINDOW].sum() / window.sum()
+    strain = min(0.5, pressure / (3 * stack.shear_modulus))
+    sides = replace(stack.sides, height=(1 - strain) * element_height)
+    return replace(stack, sides=sides)
 
 
 def _lateral(

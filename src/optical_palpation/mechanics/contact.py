@@ -55,12 +55,12 @@ Array = NDArray[np.float64]
 
 #: |w| is remembered from load to load up to this value only (friction 0.995 of its bound), so that
 #: a node that turns round does not first have to slip all the way back.
-_MEMORY = 10.0
+MEMORY = 10.0
 #: Smoothing eps of contact, as a pressure in units of the shear modulus; from the first iteration
 #: on, because the pressure of a layer with nowhere to go depends on it and would be sought twice.
-_SMOOTHING = 1e-3
+SMOOTHING = 1e-3
 #: A contact spring stiffer than this many times its scale c is a prescribed displacement.
-_STIFF = 1e3
+STIFF = 1e3
 #: Between rollers, where the layer resists with its bulk modulus, it must be stiffer than this many
 #: times c K / mu. A softer one taken as rigid made Newton's method swing between too much pressure
 #: and too little. It is sought from where it would be if rigid, or all else drowns in its force.
@@ -69,7 +69,7 @@ _RIGID = 10.0
 #: Penalty of the sides in shear moduli per element height, and the gap at which it begins as a
 #: share of the height that the outermost element would have if the layer were pressed evenly. Nodes
 #: that are caught only where they touch snap down one after the other along the edge.
-_SIDE_PENALTY, _SIDE_GAP = 12.0, 0.75
+SIDE_PENALTY, SIDE_GAP = 12.0, 0.75
 #: Height, in thicknesses, of the band next to each surface that the penalty keeps from folding
 #: however fine the elements.
 _SIDE_BAND = 0.1
@@ -172,14 +172,14 @@ def linearise(
     reaction = np.stack([force[2, 0], -force[2, -1]])
 
     c = complementarity_scale(problem)
-    eps = np.broadcast_to(_SMOOTHING * c * problem.grid.spacing[0], (2, *c.shape)).copy()
+    eps = np.broadcast_to(SMOOTHING * c * problem.grid.spacing[0], (2, *c.shape)).copy()
     # with the load, so that the unloaded layer is free of stress
-    eps[WINDOW][problem.grid.rim] *= max(1.0, state.load * problem.rim_smoothing / _SMOOTHING)
+    eps[WINDOW][problem.grid.rim] *= max(1.0, state.load * problem.rim_smoothing / SMOOTHING)
     t = normal + c * penetration
     s_value, other = smooth_maximum(t, eps)
     slope = 1 - other
     violation = normal - s_value
-    stiff = slope > _STIFF * other
+    stiff = slope > STIFF * other
     rigid = stiff
     if problem.edges == "roller":
         rigid = stiff & (slope > _RIGID * problem.bulk_modulus / problem.shear_modulus * other)
@@ -248,10 +248,10 @@ def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     # sides, and with the penalty of one its tip would swing to and fro
     ends = [(nodes[d][:count] % (n - 1) == 0) for d, n in ((1, len(grid.y)), (2, len(grid.x)))]
     sides = np.where(ends[0] & ends[1], 2.0, 1.0)
-    c = _SIDE_PENALTY * problem.shear_modulus * sides * 0.5 * (dx + dy) * first / band
+    c = SIDE_PENALTY * problem.shear_modulus * sides * 0.5 * (dx + dy) * first / band
     x0, y0 = (grid.nodes[n][nodes][:count] for n in range(2))
     height = problem.imprint.evaluate(x0, y0, state.load)[0]
-    gap = _SIDE_GAP * height * band
+    gap = SIDE_GAP * height * band
     penetration = np.stack([-z, z - h])
     normal, slope = side_penalty(penetration, gap, c)
     flat, one = np.zeros_like(x), np.ones_like(x)
@@ -338,7 +338,7 @@ def remember_slip(problem: LayerProblem, state: LayerState) -> None:
     """Carry the friction state to the next load (in place)."""
     w = slip_coordinate(problem, state)
     size = np.sqrt((w**2).sum(1, keepdims=True))
-    w *= np.minimum(1.0, _MEMORY / np.maximum(size, 1e-300))
+    w *= np.minimum(1.0, MEMORY / np.maximum(size, 1e-300))
     state.slip = np.where(state.touching(problem)[:, None], w, 0.0)
     state.anchor, state.anchor_load = state.lateral(), state.load
 

@@ -16,6 +16,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..contact import (
+    MEMORY,
+    SIDE_GAP,
+    SIDE_PENALTY,
+    STIFF,
     area_vectors,
     direction_step,
     friction_direction,
@@ -27,14 +31,6 @@ from .projection import Projection
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
-
-#: Friction is remembered from load to load up to this |w|, as in ``mechanics.contact``.
-_MEMORY = 10.0
-#: A contact spring stiffer than this many times its scale c is a prescribed displacement.
-_STIFF = 1e3
-#: Penalty of the sides in shear moduli per element height, and the gap at which it begins, a share
-#: of that height. A node that is caught only when it touches snaps down and jams its neighbours.
-_SIDE_PENALTY, _SIDE_GAP = 8.0, 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +138,8 @@ class Sides:
     """Contact of the layer's sides with the window, onto which they roll.
 
     As in ``mechanics.contact`` a stiff smooth penalty without friction. ``nodes`` (n) are numbers,
-    ``stiffness`` the shear modulus by a node's width, kPa mm, ``height`` that of an element, mm.
+    ``stiffness`` the shear modulus by a node's width, kPa mm, ``height`` that of an element if the
+    layer were pressed evenly, mm.
     """
 
     nodes: Numbers
@@ -151,7 +148,7 @@ class Sides:
 
     def force(self, position: Array) -> tuple[Array, Array]:
         """Vertical force (n), mN, and its derivative by the penetration, mN / mm."""
-        c, gap = _SIDE_PENALTY * self.stiffness, _SIDE_GAP * self.height
+        c, gap = SIDE_PENALTY * self.stiffness, SIDE_GAP * self.height
         return side_penalty(-position[self.nodes, 2], gap, c)
 
 
@@ -174,7 +171,7 @@ def linearise(
     value, other = smooth_maximum(t, smoothing)
     slope = 1 - other
     violation = normal - value
-    rigid = slope > _STIFF * other
+    rigid = slope > STIFF * other
     other = np.where(rigid, 1.0, other)
 
     w = friction_memory(state, position, slip_length)
@@ -215,6 +212,6 @@ def remembered(
     """Return the state from which the next load starts."""
     w = friction_memory(state, position, slip_length)
     size = np.sqrt((w**2).sum(1, keepdims=True))
-    w = w * np.minimum(1.0, _MEMORY / np.maximum(size, 1e-300))
+    w = w * np.minimum(1.0, MEMORY / np.maximum(size, 1e-300))
     w = np.where(touching(projection, state, scale)[:, None], w, 0.0)
     return ContactState(state.force, w, projection, projection.lateral(position))

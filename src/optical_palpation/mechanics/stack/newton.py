@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..body import ElementForces
-from ..contact import friction_direction
+from ..contact import SMOOTHING, friction_direction
 from ..iteration import Direction, iterate
 from ..newton import NotConverged, Tolerances
 from .contact import ContactTerms, friction_memory, linearise
@@ -19,8 +19,6 @@ from .projection import Interface, Plane
 
 Array = NDArray[np.float64]
 
-#: Smoothing of contact, as a pressure in units of the shear modulus.
-_SMOOTHING = 1e-3
 #: Relative residual to which linear systems are solved.
 _LINEAR = 1e-2
 #: Stiffness, in shear moduli times an element's width, that holds each node.
@@ -53,7 +51,7 @@ class Balance:
 def balance(
     stack: Stack,
     state: State,
-    smoothing: float = _SMOOTHING,
+    smoothing: float = SMOOTHING,
     directions: Sequence[Array] | None = None,
 ) -> Balance:
     """Evaluate equilibrium, incompressibility and contact of a state (see ``linearise``)."""
