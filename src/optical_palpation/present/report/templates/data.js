@@ -13,13 +13,11 @@ async function numbers({ type, data }) {
   const bytes = await unpack(data);
   if (type === "u1") return bytes;
   const n = bytes.length / 4;
-  const view = new DataView(new ArrayBuffer(4));
-  const values = new Float32Array(n);
-  for (let i = 0; i < n; i++) {
-    for (let k = 0; k < 4; k++) view.setUint8(k, bytes[k * n + i]);
-    values[i] = view.getFloat32(0, true);
+  const sorted = new Uint8Array(4 * n);
+  for (let k = 0; k < 4; k++) {
+    for (let i = 0; i < n; i++) sorted[4 * i + k] = bytes[k * n + i];
   }
-  return values;
+  return new Float32Array(sorted.buffer); // browsers run on little-endian machines
 }
 
 const clamp = (value, low, high) => Math.min(high, Math.max(low, value));

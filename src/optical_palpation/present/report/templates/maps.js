@@ -9,6 +9,9 @@ const palettes = Object.fromEntries(
   ]),
 );
 
+// The same as the bytes of a pixel: red lowest, opaque.
+const packed = ([r, g, b]) => ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0;
+
 const style = getComputedStyle(document.documentElement);
 const ownColour = (name) => style.getPropertyValue(`--${name}`).trim();
 const bytesOf = (colour) => colour.match(/[0-9a-f]{2}/gi).map((pair) => parseInt(pair, 16));
@@ -30,7 +33,7 @@ class MapPlot extends Plot {
     const caption = element("figcaption", { class: "two" }, title, this.output);
     this.figure = element("figure", {}, caption, this.host, this.scale ? this.bar() : this.legend());
     this.recolour();
-    this.filled = mask && this.draw(mask, (value) => (value ? [0, 0, 0] : null));
+    this.filled = mask && this.draw(mask, (value) => (value ? 0xff000000 : 0));
   }
 
   step(axis) {
@@ -63,32 +66,27 @@ class MapPlot extends Plot {
   shades() {
     const { low, high, colours } = this.scale;
     const palette = palettes[colours];
-    return (value) => {
-      if (!Number.isFinite(value)) return null;
-      const k = 3 * clamp(Math.floor((256 * (value - low)) / (high - low)), 0, 255);
-      return [palette[k], palette[k + 1], palette[k + 2]];
-    };
+    const shades = Array.from({ length: 256 }, (_, k) => packed(palette.slice(3 * k, 3 * k + 3)));
+    const step = 256 / (high - low);
+    return (value) =>
+      Number.isFinite(value) ? shades[clamp(Math.floor(step * (value - low)), 0, 255)] : 0;
   }
 
   states() {
     const colours = Object.fromEntries(
-      Object.entries(data.states).map(([k, name]) => [k, bytesOf(ownColour(name))]),
+      Object.entries(data.states).map(([k, name]) => [k, packed(bytesOf(ownColour(name)))]),
     );
-    return (value) => colours[value] ?? null;
+    return (value) => colours[value] ?? 0;
   }
 
-  // One canvas pixel for each pixel of the map; y points up.
+  // One canvas pixel for each pixel of the map; y points up. 0 is transparent.
   draw(grid, colour) {
     const { nx, ny, values } = grid;
     const pixels = new ImageData(nx, ny);
+    const whole = new Uint32Array(pixels.data.buffer);
     for (let j = 0; j < ny; j++) {
-      for (let i = 0; i < nx; i++) {
-        const rgb = colour(values[j * nx + i]);
-        if (!rgb) continue;
-        const at = 4 * ((ny - 1 - j) * nx + i);
-        pixels.data.set(rgb, at);
-        pixels.data[at + 3] = 255;
-      }
+      const row = (ny - 1 - j) * nx;
+      for (let i = 0; i < nx; i++) whole[row + i] = colour(values[j * nx + i]);
     }
     const canvas = element("canvas", { width: nx, height: ny });
     canvas.getContext("2d").putImageData(pixels, 0, 0);

@@ -47,7 +47,7 @@ class Stage extends MapPlot {
     Object.assign(this, { name, entry, grid, mask, scale: data.scales[entry.scale] });
     this.figure.dataset.stage = controls.map.value = name;
     this.figure.querySelector("figcaption span").textContent = entry.title;
-    this.filled = mask && this.draw(mask, (value) => (value ? [0, 0, 0] : null));
+    this.filled = mask && this.draw(mask, (value) => (value ? 0xff000000 : 0));
     for (const key of ["low", "high", "colours", "auto"]) controls[key].disabled = !this.scale;
     this.recolour();
     this.tell();
