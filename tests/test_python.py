@@ -1,7 +1,9 @@
 """The package as a Python user meets it: names, results, studies, sweeps, and errors that help."""
 
+import multiprocessing
 import subprocess
 import sys
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -265,3 +267,21 @@ def test_a_sweep_refuses_what_it_cannot_solve_before_it_solves(parameters, messa
         op.sweep(study(), parameters)
     with pytest.raises(InputError, match=r"study: an optical_palpation\.Study"):
         op.sweep("study.toml", {"friction.window": [0.1]})
+
+
+def force_of(window):
+    return study().with_(friction={"window": window}).run().maps.attrs["window_force_mN"]
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork here")
+def test_a_pool_after_a_solution_does_not_hang():
+    """In a process of its own, since a hang is what is looked for."""
+    code = (
+        "import multiprocessing, test_python\n"
+        "before = test_python.force_of(0.15)\n"
+        "with multiprocessing.get_context('fork').Pool(2) as pool:\n"
+        "    after = pool.map(test_python.force_of, [0.15, 0.15])\n"
+        "assert after == [before, before], (after, before)\n"
+    )
+    folder = Path(__file__).parent
+    subprocess.run([sys.executable, "-c", code], cwd=folder, check=True, timeout=300)

@@ -9,10 +9,11 @@ were), 130 interrupted by Ctrl-C, 143 by SIGTERM.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import typer
+from typer.core import TyperCommand
 
 from optical_palpation.cli.batch import batch
 from optical_palpation.cli.demo import demo
@@ -20,6 +21,7 @@ from optical_palpation.cli.experiment import experiment
 from optical_palpation.cli.friction import friction
 from optical_palpation.cli.material import material
 from optical_palpation.cli.reproduce import reproduce
+from optical_palpation.cli.results import compare, convert, figure, regions, report
 from optical_palpation.cli.sample import sample
 from optical_palpation.cli.stress import StressCommand, stress
 from optical_palpation.cli.study import new, run
@@ -38,22 +40,50 @@ _INTERRUPTED = "interrupted; no file is left half-written"
 app = typer.Typer(
     name="optical-palpation",
     help="Tactile stress maps from the thickness of a compliant layer imaged by OCT.",
+    epilog="A study from end to end: optical-palpation new study.toml, fill it in, then "
+    "optical-palpation run study.toml. Shell completion: optical-palpation --install-completion.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command(cls=StressCommand)(stress)
-app.command()(demo)
-app.command()(sample)
-app.command()(new)
-app.command()(run)
-app.command()(batch)
-app.command()(thickness)
-app.command()(friction)
-app.command()(material)
-app.command()(experiment)
-app.command()(uncertainty)
-app.command()(reproduce)
+
+# The commands in the order of the help; of each, examples, and what long ones cost.
+_EPILOGS: dict[Callable[..., None], str] = {
+    stress: "Example: optical-palpation stress map.mat --field-of-view 5 5 --initial-thickness 0.5 "
+    "--c10 2.23 --c01 0.703 --window-friction 0.15 --sample-friction 0.05 --element-size 0.125 "
+    "--output stress.nc --plot stress.png. Cost: seconds for 10,000 elements, minutes for a "
+    "million; the first run on a machine compiles for up to a minute.",
+    demo: "Example: optical-palpation demo --output demo-output. Cost: about a minute.",
+    sample: "Example: optical-palpation sample relief --output relief. Cost: some seconds.",
+    new: "Example: optical-palpation new study.toml",
+    run: "Examples: optical-palpation run study.toml; several: run A.toml B.toml; another "
+    "friction: run study.toml --set friction.window=0.2; only look whether all is there: run "
+    "study.toml --check. Cost: seconds to minutes, by element size.",
+    batch: "Example: optical-palpation batch scans.csv --output results. Cost: that of each study, "
+    "shared among the workers.",
+    thickness: "Example: optical-palpation thickness loaded.oct --output loaded.nc --plot "
+    "loaded.png. Cost: some seconds for 500 x 500 A-scans.",
+    friction: "Example: optical-palpation friction profile.csv --layer-size 10 10 "
+    "--initial-thickness 0.5 --loaded-thickness 0.45 --region 1 --c10 2.23 --plot friction.png. "
+    "Cost: a minute or so for new calibration curves; --save-calibration keeps them.",
+    material: "Example: optical-palpation material test.csv --law mooney-rivlin --plot fit.png",
+    experiment: "Example: optical-palpation experiment sinusoid --output sinusoid. Cost: minutes; "
+    "a larger --element-size is quicker.",
+    uncertainty: "Example: optical-palpation uncertainty study.toml --modulus 0.02 "
+    "--thickness-noise 0.001 --probes 2. Cost: two solutions for each error, two for each probe "
+    "of noise.",
+    reproduce: "Example: optical-palpation reproduce --output validation --only material. Cost: "
+    "all parts take an hour or more; --quick shows that they run.",
+    figure: "Examples: optical-palpation figure stress.nc --output figure.pdf; one map: figure "
+    "stress.nc --map axial_stress --width single --limits -5 0 --scale-bar --output map.pdf",
+    regions: "Example: optical-palpation regions stress.nc RoiSet.zip --output table.csv --plot "
+    "regions.png",
+    compare: "Example: optical-palpation compare before.nc after.nc --register --plot both.png",
+    report: "Example: optical-palpation report stress.nc --compare other.nc --output report.html",
+    convert: "Example: optical-palpation convert stress.nc --output stress.mat --output stress.tif",
+}
+for command, epilog in _EPILOGS.items():
+    kind = StressCommand if command is stress else TyperCommand
+    app.command(cls=kind, epilog=epilog)(command)
 
 
 def _print_version(wanted: bool) -> None:

@@ -26,7 +26,7 @@ def demo(
 ) -> None:
     """Make the sample "relief", run its study, and compare the result with the truth."""
     sample("relief", output)
-    run(output / "study.toml")
+    run([output / "study.toml"])
 
     import xarray as xr
 

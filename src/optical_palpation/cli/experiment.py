@@ -32,7 +32,7 @@ def experiment(
         bool, typer.Option("--volumes", help="Also write OCT volumes: unloaded.npy, loaded.npy.")
     ] = False,
     threads: Annotated[int | None, typer.Option(help="Number of threads.")] = None,
-    quiet: Annotated[bool, typer.Option(help="Show no progress.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
     """Press a layer on a virtual sample: its thickness as OCT would see it, and the true stress.
 
@@ -72,10 +72,14 @@ def experiment(
 
         for name, volume in experiment_volumes(result.maps).items():
             written.append(output / f"{name}.npy")
-            print(f"making {written[-1]}", flush=True)
+            if not quiet:
+                print(f"making {written[-1]}", flush=True)
             write_volume(volume, written[-1])
         pixels = ", ".join(f"{1e3 * step:g}" for step in volume.spacing)
-        print(f"  stacks of B-scans, linear amplitude, pixels (z, y, x) of {pixels} um")
+        if not quiet:
+            print(f"  stacks of B-scans, linear amplitude, pixels (z, y, x) of {pixels} um")
+    if quiet:
+        return
     maps = result.maps
     thickness, stress = maps["loaded_thickness"], maps["axial_stress"]
     print(

@@ -82,6 +82,7 @@ def material(
     ] = None,
     output: Annotated[Path | None, typer.Option(help="Also write the fits (.json).")] = None,
     plot: Annotated[Path | None, typer.Option(help="Also draw test and fits (.png, .pdf).")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
     """Fit hyperelastic laws to a uniaxial test of the layer's material."""
     from optical_palpation import present
@@ -117,6 +118,12 @@ def material(
         points = points.between(*strain_range)
     fits = [fit_uniaxial(points, each.value) for each in dict.fromkeys(law or LawChoice)]
 
+    if output:
+        write_fits(fits, output, contact_strain=found.strain, toe_end_strain=found.toe_end)
+    if plot:
+        write_material_figure(fits, plot, recorded=recorded, contact=found)
+    if quiet:
+        return
     print(
         f"{test.name}: {recorded.loading} to a strain of {abs(recorded.strain).max():.3g}, "
         f"{recorded.measure} stress, {recorded.stress.size} points"
@@ -133,11 +140,6 @@ def material(
         if best.law != LawChoice.MOONEY_RIVLIN:
             options.insert(0, f"--law {best.law}")
         print(f"for the layer: {' '.join(options)}")
-
-    if output:
-        write_fits(fits, output, contact_strain=found.strain, toe_end_strain=found.toe_end)
-    if plot:
-        write_material_figure(fits, plot, recorded=recorded, contact=found)
     for kind, path in wanted.items():
         print(f"{kind}: {path}")
 

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import sys
+import tomllib
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from optical_palpation.cli.progress import ProgressDisplay
+from optical_palpation.errors import ConvergenceError, InputError, OpticalPalpationError
+
+if TYPE_CHECKING:
+    from optical_palpation.study import Study
 
 
 def new(
-    file: Annotated[Path, typer.Argument(help="The study file to write.")] = Path("study.toml"),
+    file: Annotated[
+        Path, typer.Argument(metavar="STUDY", help="The study file to write (.toml).")
+    ] = Path("study.toml"),
 ) -> None:
     """Write a commented study file to begin with."""
     from optical_palpation.study import write_template
@@ -21,16 +29,82 @@ def new(
 
 
 def run(
-    file: Annotated[Path, typer.Argument(help="The study file.", show_default=False)],
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="STUDY...", help="One or more study files.", show_default=False),
+    ],
     thickness_only: Annotated[
         bool, typer.Option("--thickness-only", help="Stop before the stress.")
     ] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Read everything, compute and write nothing.")
+    ] = False,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="A value instead of the file's, such as friction.window=0.2; may be repeated. The "
+            "results go to a folder of their own.",
+            show_default=False,
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Result folder, of a single study; after the study file by default.",
+            show_default=False,
+        ),
+    ] = None,
+    threads: Annotated[
+        int | None, typer.Option(metavar="NUMBER", help="Number of threads.", min=1)
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
-    """Do everything that a study file asks for; go on where an earlier run was interrupted."""
+    """Do everything that study files ask for; go on where an earlier run was interrupted."""
+    from optical_palpation.study import describe_inputs, read_study
+
+    if output is not None and len(files) > 1:
+        raise typer.BadParameter("--output is the folder of one study; leave it out of several")
+    values = dict(map(_change, changes or ()))
+    studies = []
+    for file in files:  # all are read before the first is run
+        given = _with_folder(values, file)
+        if output is not None:
+            given["outputs.folder"] = str(output.resolve())
+        if threads is not None:
+            given["grid.threads"] = threads
+        studies.append(read_study(file, given))
+    folders = [asked.folder.resolve() for asked in studies]
+    for k, folder in enumerate(folders):
+        if folder in folders[:k]:
+            raise InputError(f"{files[k]}: has the same result folder as another study, {folder}")
+    if check:
+        for asked in studies:
+            said = describe_inputs(asked)
+            if not quiet:
+                print(f"{asked.file}: can be run; {said}; results would go to {asked.folder}")
+        return
+    failed: list[OpticalPalpationError] = []
+    for asked in studies:
+        if len(studies) > 1 and not quiet:
+            print(f"{asked.file}:", flush=True)
+        try:
+            _run(asked, thickness_only, quiet)
+        except OpticalPalpationError as error:
+            if len(studies) == 1:
+                raise
+            print(f"error: {error}", file=sys.stderr)
+            failed.append(error)
+    if failed:
+        kind = next((e for e in failed if not isinstance(e, ConvergenceError)), failed[0])
+        raise type(kind)(f"{len(failed)} of {len(studies)} studies failed, see above")
+
+
+def _run(asked: Study, thickness_only: bool, quiet: bool) -> None:
     from optical_palpation import present, study
 
-    asked = study.read_study(file)
     with ProgressDisplay(quiet) as progress:
         done = study.run_study(asked, thickness_only=thickness_only, progress=progress)
     if quiet:
@@ -42,3 +116,23 @@ def run(
             print(f"WARNING: {warning}")
     for name in done.files:
         print(f"{done.folder / name}{' (from an earlier run)' if name in done.earlier else ''}")
+
+
+def _change(text: str) -> tuple[str, Any]:
+    """Name and value of a ``--set``, the value as a study file would give it."""
+    name, equals, value = text.partition("=")
+    if not (equals and name.strip() and value.strip()):
+        raise typer.BadParameter(f"--set takes KEY=VALUE, such as friction.window=0.2; not {text}")
+    try:
+        return name.strip(), tomllib.loads(f"value = {value}")["value"]
+    except (tomllib.TOMLDecodeError, KeyError):
+        return name.strip(), value.strip()  # text, for which a shell takes the quotes away
+
+
+def _with_folder(values: dict[str, Any], file: Path) -> dict[str, Any]:
+    """Give changed values a result folder that tells them, unless they name one."""
+    if not values or "outputs.folder" in values:
+        return dict(values)
+    said = "-".join(f"{name}={value}" for name, value in values.items())
+    safe = "".join(c if c.isalnum() or c in "=.-_," else "_" for c in said)[:100]
+    return values | {"outputs.folder": f"{file.stem}-{safe}-results"}

@@ -62,7 +62,7 @@ def thickness(
     ] = None,
     window: Annotated[
         str,
-        typer.Option(metavar="line|fall|rise|MM", help="How the window side shows, or its depth."),
+        typer.Option(metavar="LINE|FALL|RISE|MM", help="How the window side shows, or its depth."),
     ] = "line",
     sample: Annotated[Edge, typer.Option(help="How the sample side shows.")] = Edge.RISE,
     window_range: Annotated[

@@ -21,6 +21,10 @@ SUFFIXES = {
     "ParaView file": (".vts",),
     "profiles": (".csv",),
     "deck": (".inp",),
+    "MATLAB file": (".mat",),
+    "TIFF file": (".tif", ".tiff"),
+    "table": (".csv",),
+    "report": (".html", ".htm"),
     "record": (".json",),
     "calibration": (".nc", ".nc4", ".h5"),
 }

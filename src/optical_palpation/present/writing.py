@@ -9,10 +9,12 @@ from pathlib import Path
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.deck import write_deck
+from optical_palpation.present.matlab import write_mat
 from optical_palpation.present.netcdf import write_result
 from optical_palpation.present.output import SUFFIXES
 from optical_palpation.present.panel import write_panel
 from optical_palpation.present.profiles import write_profiles
+from optical_palpation.present.tiff import write_tiff
 from optical_palpation.present.vtk import write_vtk
 
 
@@ -29,6 +31,8 @@ WRITERS: Mapping[str, Callable[[StressResult, Path], None]] = {
     "ParaView file": write_vtk,
     "profiles": write_profiles,
     "deck": _deck,
+    "MATLAB file": write_mat,
+    "TIFF file": write_tiff,
 }
 
 
@@ -36,7 +40,8 @@ def write(result: StressResult, path: str | os.PathLike[str]) -> None:
     """Write a result to a file of the kind that the ending of its name says.
 
     ``.nc`` is all of it; ``.png``, ``.pdf``, ``.svg`` the panel; ``.vts`` the deformed layer for
-    ParaView; ``.csv`` the profiles through the centre; ``.inp`` the problem for Abaqus or CalculiX.
+    ParaView; ``.csv`` the profiles through the centre; ``.inp`` the problem for Abaqus or
+    CalculiX; ``.mat`` the maps for MATLAB and Octave; ``.tif`` the maps for ImageJ.
 
     Raises
     ------

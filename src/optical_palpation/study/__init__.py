@@ -3,7 +3,7 @@
 from optical_palpation.study.inputs import find_boundaries
 from optical_palpation.study.reading import read_study, write_template
 from optical_palpation.study.record import Progress
-from optical_palpation.study.run import StudyResult, run_study
+from optical_palpation.study.run import StudyResult, describe_inputs, run_study
 from optical_palpation.study.schema import Study
 from optical_palpation.study.stages import warnings_about
 
@@ -11,6 +11,7 @@ __all__ = [
     "Progress",
     "Study",
     "StudyResult",
+    "describe_inputs",
     "find_boundaries",
     "read_study",
     "run_study",

@@ -105,7 +105,7 @@ def changed(given: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str
         for table in tables:
             inner = place.get(table, {})
             if not isinstance(inner, Mapping):
-                raise InputError(f"{name}: {table} is {inner!r} and no table that has keys")
+                raise InputError(f"{name}: {table} is {as_toml(inner)}, no table that has keys")
             place[table] = dict(inner)
             place = place[table]
         if value is None:
@@ -113,6 +113,20 @@ def changed(given: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str
         else:
             place[key] = value
     return result
+
+
+def as_toml(value: Any) -> str:
+    """Return a value as a study file writes it, on one line."""
+    if isinstance(value, Mapping):
+        inner = ", ".join(f"{key} = {as_toml(v)}" for key, v in value.items())
+        return f"{{ {inner} }}" if inner else "{}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(as_toml, value))}]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    return "nothing" if value is None else str(value)
 
 
 def make_study(given: Mapping[str, Any], file: Path) -> Study:
@@ -172,8 +186,8 @@ def _check(study: Study) -> None:
             name = getattr(values, key, None)
             if isinstance(name, str) and not study.path(name).exists():
                 raise InputError(
-                    f"{study.file}: {table}.{key} = {name!r}: there is no {study.path(name)}; "
-                    "paths count from the folder of the study file"
+                    f"{study.file}: {table}.{key} = {as_toml(name)}: there is no "
+                    f"{study.path(name)}; paths count from the folder of the study file"
                 )
 
 
@@ -206,7 +220,7 @@ def _problems(error: ValidationError, given: Mapping[str, Any]) -> Iterator[str]
                 continue  # inherited; it is reported where it stands
         known = _known(keys[:-1], given)
         if problem["type"] == "extra_forbidden":
-            yield f"{'.'.join(keys)} = {problem['input']!r}: {_unknown(keys, known)}"
+            yield f"{'.'.join(keys)} = {as_toml(problem['input'])}: {_unknown(keys, known)}"
             continue
         while len(keys) > 1 and keys[-1] not in known:  # one of several types, such as "float"
             keys.pop()
@@ -215,12 +229,12 @@ def _problems(error: ValidationError, given: Mapping[str, Any]) -> Iterator[str]
         if problem["type"] == "missing" and isinstance(problem["loc"][-1], str):
             yield f"{key}: is missing{_hint(keys)}"
         elif problem["type"] in ("model_type", "dict_type", "model_attributes_type"):
-            yield f"{key} = {problem['input']!r}: must be a table{_hint(keys)}"
+            yield f"{key} = {as_toml(problem['input'])}: must be a table{_hint(keys)}"
         else:
             text = _WORDS.get(problem["type"]) or re.sub(
                 "(Input|Value) should be ", "", problem["msg"]
             )
-            texts = wrong.setdefault(f"{key} = {_value(given, keys)!r}{_hint(keys)}", [])
+            texts = wrong.setdefault(f"{key} = {as_toml(_value(given, keys))}{_hint(keys)}", [])
             texts.append(text)
     for start, texts in wrong.items():
         yield f"{start}: must be {', or '.join(dict.fromkeys(texts))}"

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from optical_palpation.errors import InputError
-from optical_palpation.study.inputs import Unchanged, facts, parameters, read_motion
+from optical_palpation.study.inputs import Unchanged, facts, open_input, parameters, read_motion
 from optical_palpation.study.plausible import check_study
 from optical_palpation.study.record import Progress, make_all
-from optical_palpation.study.schema import Study
+from optical_palpation.study.schema import MapInput, Study, VolumeInput
 from optical_palpation.study.stages import THICKNESS, Stages
+from optical_palpation.thickness import read_corrections, read_thickness_map
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,33 @@ class StudyResult:
     folder: Path
     files: tuple[str, ...]
     earlier: tuple[str, ...]
+
+
+def describe_inputs(study: Study) -> str:
+    """Read all inputs of a study, compute and write nothing, and say what they are.
+
+    Raises
+    ------
+    InputError
+        If an input cannot be used.
+    """
+    said = []
+    for side, source in study.inputs.items():
+        try:
+            if isinstance(source, MapInput):
+                read = read_thickness_map(
+                    study.path(source.map), **source.model_dump(exclude={"map"})
+                )
+                said.append(f"{side} map of {' x '.join(map(str, read.shape))} pixels")
+            else:
+                with open_input(study, source) as volume:
+                    said.append(f"{side} volume of {' x '.join(map(str, volume.shape))} samples")
+            if isinstance(source, VolumeInput) and source.corrections:
+                read_corrections(study.path(source.corrections))
+        except InputError as error:
+            raise InputError(f"{study.file}, [{side}]: {error}") from error
+    read_motion(study)
+    return ", ".join(said)
 
 
 def run_study(

@@ -1,0 +1,251 @@
+"""``figure``, ``regions``, ``compare``, ``report``, ``convert``: what a result is shown as."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from optical_palpation.palpation import StressResult
+
+_Result = Annotated[
+    Path,
+    typer.Argument(metavar="RESULT", help="A result (.nc), or the folder of a study."),
+]
+_Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+_Regions = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Regions of interest: ImageJ's .roi or .zip, .csv of napari or of name, x_mm, y_mm, "
+        "or a mask or labels (.tif, .png, .npy) on the points of the map.",
+        show_default=False,
+    ),
+]
+
+
+def read(path: Path) -> StressResult:
+    """Read a result, or that in the folder of a study."""
+    from optical_palpation.present import read_result
+
+    return read_result(path / "stress.nc" if path.is_dir() else path)
+
+
+def figure(
+    result: _Result,
+    output: Annotated[Path, typer.Option(metavar="FILE", help="Figure (.png, .pdf, .svg).")],
+    map: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Map to show, such as axial_stress; may be repeated. All panels by default.",
+            show_default=False,
+        ),
+    ] = None,
+    width: Annotated[
+        str, typer.Option(metavar="WIDTH", help="single or double column, or mm.")
+    ] = "double",
+    columns: Annotated[
+        int | None, typer.Option(metavar="NUMBER", help="Maps beside each other.", min=1)
+    ] = None,
+    limits: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="LOW HIGH", help="Limits of the colours, in the unit of the map."),
+    ] = None,
+    colours: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Another colour map, such as magma.")
+    ] = None,
+    scale_bar: Annotated[
+        bool, typer.Option("--scale-bar", help="A scale bar instead of axes.")
+    ] = False,
+    regions: _Regions = None,
+    quiet: _Quiet = False,
+) -> None:
+    """Draw a figure for a paper: maps of a result, true to scale, with units."""
+    from optical_palpation import present
+    from optical_palpation.analysis import read_regions
+
+    present.check_outputs({"picture": output}, [result])
+    read_one = read(result)
+    size = float(width) if width.replace(".", "", 1).isdigit() else width
+    if map:
+        present.write_maps(
+            read_one,
+            output,
+            map,
+            width=size,  # type: ignore[arg-type]
+            columns=columns,
+            limits=limits,
+            colours=colours,
+            scale_bar=scale_bar,
+            regions=read_regions(regions, read_one.maps) if regions else (),
+        )
+    else:
+        chosen = (columns, limits, colours, regions)
+        if scale_bar or any(value is not None for value in chosen):
+            raise typer.BadParameter("these options are for maps: name them with --map")
+        present.write_panel(read_one, output, width=size)  # type: ignore[arg-type]
+    if not quiet:
+        print(f"picture: {output}")
+
+
+def regions(
+    result: _Result,
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="REGIONS",
+            help="ImageJ's .roi or .zip, .csv of napari or of name, x_mm, y_mm, or a mask or "
+            "labels (.tif, .png, .npy) on the points of the map.",
+        ),
+    ],
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write the table (.csv).")
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Also draw map and regions (.png, .pdf, .svg)."),
+    ] = None,
+    map: Annotated[str, typer.Option(metavar="NAME", help="Map to look at.")] = "axial_stress",
+    quiet: _Quiet = False,
+) -> None:
+    """Tell mean, extremes, force and contrast of regions of interest."""
+    from optical_palpation import present
+    from optical_palpation.analysis import read_regions, region_statistics
+    from optical_palpation.present.tables import table_in_words, write_table
+
+    wanted = {"table": output, "picture": plot}
+    present.check_outputs({k: p for k, p in wanted.items() if p is not None}, [result, file])
+    read_one = read(result)
+    found = read_regions(file, read_one.maps)
+    table = region_statistics(read_one.maps, found, map)
+    if output:
+        write_table(table, output)
+    if plot:
+        present.write_maps(read_one, plot, [map], regions=found)
+    if quiet:
+        return
+    print(table_in_words(table))
+    for kind, path in wanted.items():
+        if path:
+            print(f"{kind}: {path}")
+
+
+def compare(
+    results: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RESULT RESULT...",
+            help="Two or more results (.nc) or folders of studies; the first is the reference.",
+        ),
+    ],
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write the differences (.nc).")
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Also draw maps and differences (.png, .pdf, .svg)."),
+    ] = None,
+    map: Annotated[str, typer.Option(metavar="NAME", help="Map to compare.")] = "axial_stress",
+    register: Annotated[
+        bool, typer.Option("--register", help="Take back lateral shifts, found by the relief.")
+    ] = False,
+    quiet: _Quiet = False,
+) -> None:
+    """Compare results on one grid and one scale: differences, with their error where known."""
+    from optical_palpation import present
+    from optical_palpation.analysis import compare_results
+    from optical_palpation.present.comparison import comparison_in_words, write_comparison
+    from optical_palpation.present.comparison import write_comparison_figure as draw
+
+    if len(results) < 2:
+        raise typer.BadParameter("give two results at least")
+    wanted = {"result": output, "picture": plot}
+    present.check_outputs({k: p for k, p in wanted.items() if p is not None}, results)
+    names = [path.name if path.is_dir() else path.stem for path in results]
+    if len(set(names)) < len(names):
+        names = [str(path) for path in results]
+    maps = {name: read(path).maps for name, path in zip(names, results, strict=True)}
+    if len(maps) < len(results):
+        raise typer.BadParameter("the same result is given twice")
+    found = compare_results(maps, map, register=register)
+    if output:
+        write_comparison(found, output)
+    if plot:
+        draw(found, plot)
+    if quiet:
+        return
+    print(comparison_in_words(found))
+    for kind, path in wanted.items():
+        if path:
+            print(f"{kind}: {path}")
+
+
+def report(
+    result: _Result,
+    output: Annotated[Path, typer.Option(metavar="FILE", help="Report (.html).")],
+    compare: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="RESULT",
+            help="Another result, whose difference is shown; may be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    regions: _Regions = None,
+    title: Annotated[str | None, typer.Option(metavar="TEXT", help="Heading.")] = None,
+    quiet: _Quiet = False,
+) -> None:
+    """Write the report of a result as one HTML file, with other results and regions on request.
+
+    A study's own report also shows its B-scans.
+    """
+    from optical_palpation import present, study
+    from optical_palpation.analysis import read_regions
+
+    present.check_outputs({"report": output}, [result])
+    one = read(result)
+    source = result / "stress.nc" if result.is_dir() else result
+    beside = source.resolve().parent == output.resolve().parent
+    others = {(path.name if path.is_dir() else path.stem): read(path) for path in compare or ()}
+    path = str(source)
+    present.write_report(
+        output,
+        one,
+        loaded=None,
+        unloaded=None,
+        volumes=None,
+        parameters={},
+        python=f"import optical_palpation as op\n\nresult = op.read_result({path!r})\n",
+        title=title or (result.resolve().name if result.is_dir() else result.stem),
+        warnings=study.warnings_about(one),
+        others=others,
+        regions=read_regions(regions, one.maps) if regions else (),
+        result_file=source.name if beside else None,
+    )
+    if not quiet:
+        print(f"report: {output}")
+
+
+def convert(
+    result: _Result,
+    output: Annotated[
+        list[Path],
+        typer.Option(
+            metavar="FILE",
+            help="What to write, by its ending: .mat (MATLAB, Octave), .tif (ImageJ), .vts "
+            "(ParaView), .csv (profiles), .nc, .png, .pdf, .svg; may be repeated.",
+        ),
+    ],
+    quiet: _Quiet = False,
+) -> None:
+    """Write a result for other programs: MATLAB, Octave, ImageJ, ParaView, a spreadsheet."""
+    from optical_palpation import present
+
+    one = read(result)
+    for path in output:
+        present.write(one, path)
+        if not quiet:
+            print(path)

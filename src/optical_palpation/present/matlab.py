@@ -1,0 +1,52 @@
+"""Results as MATLAB files, which Octave, MATLAB and SciPy read."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optical_palpation.palpation.result import StressResult
+from optical_palpation.present.output import atomic, provenance
+from optical_palpation.present.terms import is_map, term
+
+_LONGEST = 31  # characters of a name in a file of this format
+
+
+def write_mat(result: StressResult, path: str | Path) -> None:
+    """Write the maps of a result as a MATLAB file (format 5).
+
+    Every map is a matrix (y, x), named as in the NetCDF file, beside ``x`` and ``y``, the positions
+    of its columns and rows in mm. The structure ``units`` has the unit of each, ``meaning`` what it
+    is in words, and ``provenance`` all parameters. Where a map has no value it is NaN.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    from scipy.io import savemat
+
+    maps = result.maps
+    content: dict[str, Any] = {axis: maps[axis].values.astype(float) for axis in "xy"}
+    units, meaning = {"x": "mm", "y": "mm"}, {"x": "position of columns", "y": "position of rows"}
+    for key, field in maps.data_vars.items():
+        name = str(key)
+        if not is_map(field):
+            continue
+        what = term(maps, name)
+        short = name[:_LONGEST]
+        values = field.transpose("y", "x").values
+        content[short] = values.astype(np.uint8) if values.dtype == bool else values
+        units[short] = what.units or "1"
+        meaning[short] = str(field.attrs.get("long_name", what.words))
+        if "flag_meanings" in field.attrs or what.colours == "states":
+            meaning[short] += ": 0 open, 1 slip, 2 stick"
+    content["units"], content["meaning"] = units, meaning
+    content["provenance"] = {k[:_LONGEST]: v for k, v in provenance(maps).items()}
+    stream: Any = io.BytesIO()
+    savemat(stream, content, do_compression=True, oned_as="column", long_field_names=False)
+    with atomic(path, "MATLAB file") as temporary:
+        temporary.write_bytes(stream.getvalue())

@@ -1,0 +1,318 @@
+"""The commands around results, several studies at once, and one grammar for all commands."""
+
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+import roifile
+import scipy.io
+import tifffile
+import typer.main
+import xarray as xr
+
+from optical_palpation.analysis import read_regions, region_statistics
+from optical_palpation.cli import app
+from optical_palpation.errors import InputError
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation import algebraic_result
+from optical_palpation.present import read_result, write_mat, write_result, write_tiff
+from optical_palpation.thickness import thickness_map
+
+X, Y = 0.5 + 0.1 * np.arange(31), 1.0 + 0.05 * np.arange(41)
+
+STUDY = """
+unloaded = { thickness = 0.5 }
+loaded = { map = "map.npy", field_of_view = [3.0, 2.0] }
+material = { c10 = 2.23, c01 = 0.703 }
+friction = { window = 0.15, sample = 0.05 }
+grid = { element_size = 0.5, threads = 1 }
+outputs = { write = [] }
+"""
+
+
+def result(bump=0.05):
+    y, x = np.meshgrid(Y, X, indexing="ij")
+    values = 0.44 - bump * np.exp(-((x - 2.0) ** 2 + (y - 2.0) ** 2) / 0.2)
+    return algebraic_result(thickness_map(values, x=X, y=Y), 0.5, MooneyRivlin(2.23, 0.703))
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with two results, regions, a thickness map and a study of it."""
+    monkeypatch.chdir(tmp_path)
+    write_result(result(), "a.nc")
+    write_result(result(0.06), "b.nc")
+    box = roifile.ImagejRoi(
+        roitype=roifile.ROI_TYPE.RECT, left=10, top=10, right=20, bottom=30, name="bump"
+    )
+    box.tofile("bump.roi")
+    np.save("map.npy", result().maps["loaded_thickness"].values)
+    (tmp_path / "study.toml").write_text(STUDY)
+    return tmp_path
+
+
+def test_a_figure_of_a_result(here, run):
+    assert run("figure", "a.nc", "--output", "panel.pdf")[0] == 0
+    options = ["--map", "axial_stress", "--map", "loaded_thickness", "--width", "100"]
+    options += ["--limits", "-9", "0", "--scale-bar", "--regions", "bump.roi"]
+    status, out, err = run("figure", "a.nc", *options, "--output", "maps.svg")
+    assert (status, err) == (0, "")
+    assert "maps.svg" in out
+    assert "bump" in (here / "maps.svg").read_text()
+    status, _, err = run("figure", "a.nc", "--map", "strain", "--output", "x.png")
+    assert status == 2
+    assert "known are" in err
+    assert run("figure", "a.nc", "--scale-bar", "--output", "x.png")[0] == 2
+    assert run("figure", "a.nc", "--map", "axial_stress", "--width", "wide", "--output", "x.png")[
+        0
+    ] == 2  # fmt: skip
+    assert not (here / "x.png").exists()
+
+
+def test_regions_of_a_result(here, run):
+    status, out, err = run(
+        "regions", "a.nc", "bump.roi", "--output", "table.csv", "--plot", "regions.png"
+    )
+    assert (status, err) == (0, "")
+    maps = read_result("a.nc").maps
+    expected = region_statistics(maps, read_regions("bump.roi", maps)).isel(region=0)
+    assert f"mean {float(expected['mean']):.4g} kPa" in out
+    assert f"force {float(expected['force']):.4g} mN" in out
+    rows = [r for r in (here / "table.csv").read_text().splitlines() if not r.startswith("#")]
+    row = dict(zip(rows[0].split(","), rows[1].split(","), strict=True))
+    assert row["region"] == "bump"
+    assert float(row["mean_kPa"]) == pytest.approx(float(expected["mean"]), rel=1e-5)
+    assert float(row["area_mm2"]) == pytest.approx(1.0)
+    assert (here / "regions.png").stat().st_size > 1000
+    assert run("regions", "a.nc", "nothing.roi")[0] == 2
+
+
+def test_comparison_of_results(here, run):
+    status, out, err = run("compare", "a.nc", "b.nc", "--output", "c.nc", "--plot", "c.png")
+    assert (status, err) == (0, "")
+    assert re.search(r"b: rms difference [\d.]+ kPa", out)
+    found = xr.load_dataset("c.nc", engine="h5netcdf")
+    maps = [read_result(name).maps["axial_stress"] for name in ("a.nc", "b.nc")]
+    np.testing.assert_allclose(found["difference"][0], maps[1] - maps[0], atol=1e-12)
+    assert (here / "c.png").stat().st_size > 1000
+    assert run("compare", "a.nc")[0] == 2
+    assert run("compare", "a.nc", "a.nc")[0] == 2
+
+
+def test_report_of_a_result(here, run):
+    options = ["--compare", "b.nc", "--regions", "bump.roi", "--title", "First <b>loading</b>"]
+    assert run("report", "a.nc", "--output", "r.html", *options)[0] == 0
+    text = (here / "r.html").read_text()
+    assert "First &lt;b&gt;loading&lt;/b&gt;" in text
+    assert 'href="a.nc"' in text
+    assert "b less this" in text
+    assert run("report", "a.nc", "--output", "r.txt")[0] == 2
+
+
+def test_results_for_other_programs(here, run):
+    names = ["o.mat", "o.tif", "o.csv", "o.png"]
+    status, out, err = run("convert", "a.nc", *(f"--output={name}" for name in names))
+    assert (status, err) == (0, "")
+    assert out.split() == names
+    assert run("convert", "a.nc", "--output", "o.docx")[0] == 2
+    assert run("convert", "a.nc", "--output", "o.vts")[0] == 2  # the method has no layer
+
+
+def test_matlab_file_has_axes_and_units(tmp_path):
+    it = result()
+    it.maps.attrs["a_parameter_with_a_name_of_more_than_31_letters"] = 1.0
+    write_mat(it, tmp_path / "o.mat")
+    content = scipy.io.loadmat(tmp_path / "o.mat", simplify_cells=True)
+    np.testing.assert_array_equal(content["axial_stress"], it.maps["axial_stress"])
+    np.testing.assert_array_equal(content["x"].ravel(), X)
+    assert content["units"]["axial_stress"] == "kPa"
+    assert content["units"]["loaded_thickness"] == "mm"
+    assert "0 open, 1 slip" in content["meaning"]["contact_state"]
+    assert content["provenance"]["c10_kPa"] == 2.23
+
+
+@pytest.mark.skipif(shutil.which("octave") is None, reason="Octave is not installed")
+def test_octave_reads_the_matlab_file(tmp_path):
+    it = result()
+    write_mat(it, tmp_path / "o.mat")
+    code = (
+        "s = load('o.mat'); printf('%.9g %s %d\\n', min(s.axial_stress(:)), "
+        "s.units.axial_stress, columns(s.axial_stress))"
+    )
+    done = subprocess.run(
+        ["octave", "--eval", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    low, units, columns = done.stdout.split()
+    assert float(low) == pytest.approx(float(it.maps["axial_stress"].min()))
+    assert (units, int(columns)) == ("kPa", X.size)
+
+
+def test_tiff_opens_in_imagej_with_its_scale(tmp_path):
+    it = result()
+    write_tiff(it, tmp_path / "o.tif")
+    with tifffile.TiffFile(tmp_path / "o.tif") as file:
+        assert file.is_imagej
+        about = file.imagej_metadata
+        assert about["unit"] == "mm"
+        labels = about["Labels"]
+        page = file.pages[0]
+        per_unit = [page.tags[t].value for t in ("XResolution", "YResolution")]
+        assert [n / d for n, d in per_unit] == pytest.approx([10.0, 20.0], rel=1e-6)
+        stack = file.asarray()
+        assert json.loads(about["Info"])["c10_kPa"] == 2.23
+    assert "Axial stress (kPa)" in labels
+    at = labels.index("Axial stress (kPa)")
+    np.testing.assert_array_equal(stack[at], it.maps["axial_stress"].astype(np.float32))
+    # what is drawn on it lies where it was drawn
+    label = np.zeros(stack.shape[1:], np.uint8)
+    label[10:30, 10:20] = 1
+    tifffile.imwrite(tmp_path / "label.tif", label)
+    (region,) = read_regions(tmp_path / "label.tif", it.maps)
+    weight = region.weights(it.maps["axial_stress"])
+    assert float(weight.sum()) == 200
+    assert float((weight * weight["y"]).sum() / weight.sum()) == pytest.approx(Y[10:30].mean())
+    with pytest.raises(InputError, match="known are"):
+        write_tiff(it, tmp_path / "p.tif", ["strain"])
+    assert not (tmp_path / "p.tif").exists()
+
+
+# ---- several studies, other values
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """What would be run, in place of running it."""
+    from optical_palpation import study
+
+    asked = []
+
+    def note(it, **options):
+        asked.append(it)
+        raise InputError(f"{it.file}: is not run here")
+
+    monkeypatch.setattr(study, "run_study", note)
+    return asked
+
+
+def test_values_on_the_command_line_go_before_those_of_the_file(here, run, told):
+    changes = ["--set", "friction.window=0.2", "--set", "grid.edges=padded", "--threads", "2"]
+    run("run", "study.toml", *changes)
+    (asked,) = told
+    assert asked.friction.window == 0.2
+    assert asked.friction.sample == 0.05
+    assert asked.grid.edges == "padded"
+    assert asked.grid.threads == 2
+    assert asked.folder.name == "study-friction.window=0.2-grid.edges=padded-results"
+    run("run", "study.toml", "--output", "elsewhere")
+    assert told[1].folder == here / "elsewhere"
+    run("run", "study.toml", "--set", "outputs.folder=mine")
+    assert told[2].folder.name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("friction.windw=0.2", "did you mean window"),
+        ("friction.window=-1", "friction.window = -1"),
+        ("friction", "KEY=VALUE"),
+        ("friction.window=", "KEY=VALUE"),
+        ("title.x=1", "title"),
+    ],
+)
+def test_values_that_cannot_be_used(here, run, told, change, message):
+    status, _, err = run("run", "study.toml", "--set", change)
+    assert status == 2
+    assert message in err
+    assert told == []
+
+
+def test_several_studies_are_run_and_one_that_fails_does_not_stop_the_rest(here, run, told):
+    (here / "other.toml").write_text(STUDY)
+    status, _, err = run("run", "study.toml", "other.toml")
+    assert status == 2
+    assert [it.file.name for it in told] == ["study.toml", "other.toml"]
+    assert "other.toml: is not run here" in err
+    assert "2 of 2 studies failed" in err
+    (here / "bad.toml").write_text(STUDY.replace("0.15", "-1"))
+    told.clear()
+    assert run("run", "study.toml", "bad.toml")[0] == 2
+    assert told == []  # all are read first
+    assert run("run", "study.toml", "study.toml")[0] == 2
+    assert run("run", "study.toml", "other.toml", "--output", "x")[0] == 2
+    assert told == []
+
+
+def test_check_reads_everything_and_writes_nothing(here, run, told):
+    before = sorted(path.name for path in here.iterdir())
+    status, out, err = run("run", "study.toml", "--check")
+    assert (status, err) == (0, "")
+    assert "loaded map of 41 x 31 pixels" in out
+    assert told == []
+    (here / "map.npy").write_bytes(b"damaged")
+    status, _, err = run("run", "study.toml", "--check")
+    assert status == 2
+    assert "[loaded]" in err
+    assert sorted(path.name for path in here.iterdir()) == before
+
+
+def test_errors_of_a_study_file_are_told_in_its_own_language(here, run):
+    for old, new, words in (
+        ("0.15", "true", "friction.window = true"),
+        ("0.15", '"much"', 'friction.window = "much"'),
+        ("0.15", "{ a = [1, false] }", "friction.window = { a = [1, false] }"),
+        ('"map.npy"', '"m.npy"', 'loaded.map = "m.npy"'),
+    ):
+        (here / "study.toml").write_text(STUDY.replace(old, new))
+        status, _, err = run("run", "study.toml")
+        assert status == 2
+        assert words in err
+        for python in ("True", "False", "None", "{'", "Traceback", "dict", "tuple"):
+            assert python not in err
+
+
+# ---- one grammar
+
+
+COMMANDS = typer.main.get_command(app).commands
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_help_has_an_example_that_names_real_options(name):
+    command = COMMANDS[name]
+    assert command.epilog, name
+    assert f"optical-palpation {name}" in command.epilog
+    known = {option for p in command.params for option in p.opts} | {"--help"}
+    for option in re.findall(r"(?<!\S)--[a-z][\w-]*", command.epilog):
+        assert option in known, option
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_all_commands_speak_alike(name):
+    command = COMMANDS[name]
+    for parameter in command.params:
+        metavar = parameter.metavar
+        if metavar:
+            assert metavar == metavar.upper(), metavar
+        long = [option for option in parameter.opts if option.startswith("--")]
+        assert not [o for o in long if "out" in o and o not in ("--output",)], long
+        assert not any(o in ("--silent", "--verbose", "--jobs", "-q") for o in parameter.opts)
+    flags = [p for p in command.params if "--quiet" in p.opts]
+    assert all(not flag.secondary_opts for flag in flags), "--no-quiet"
+
+
+def test_shell_completion_is_there(run):
+    _, out, _ = run("--help")
+    assert "--install-completion" in out
+
+
+def test_regions_and_result_of_a_study_folder(here, run):
+    folder = here / "some-results"
+    folder.mkdir()
+    write_result(result(), folder / "stress.nc")
+    assert run("figure", "some-results", "--output", "f.png")[0] == 0
+    status, out, _ = run("regions", "some-results", "bump.roi")
+    assert status == 0
+    assert "bump" in out
