@@ -303,6 +303,14 @@ def test_all_commands_speak_alike(name):
     assert all(not flag.secondary_opts for flag in flags), "--no-quiet"
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_no_help_speaks_python(name, run):
+    status, out, _ = run(name, "--help")
+    assert status == 0
+    for word in ("<path>", "<str>", "<float>", "<int>", "<bool>", "list[", "None"):
+        assert word not in out
+
+
 def test_shell_completion_is_there(run):
     _, out, _ = run("--help")
     assert "--install-completion" in out

@@ -13,12 +13,12 @@ from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import typer
-from typer.core import TyperCommand
 
 from optical_palpation.cli.batch import batch
 from optical_palpation.cli.demo import demo
 from optical_palpation.cli.experiment import experiment
 from optical_palpation.cli.friction import friction
+from optical_palpation.cli.grammar import Command
 from optical_palpation.cli.material import material
 from optical_palpation.cli.reproduce import reproduce
 from optical_palpation.cli.results import compare, convert, figure, regions, report
@@ -43,6 +43,7 @@ app = typer.Typer(
     epilog="A study from end to end: optical-palpation new study.toml, fill it in, then "
     "optical-palpation run study.toml. Shell completion: optical-palpation --install-completion.",
     no_args_is_help=True,
+    rich_markup_mode=None,  # its boxes show types of Python
     pretty_exceptions_enable=False,
 )
 
@@ -82,7 +83,7 @@ _EPILOGS: dict[Callable[..., None], str] = {
     convert: "Example: optical-palpation convert stress.nc --output stress.mat --output stress.tif",
 }
 for command, epilog in _EPILOGS.items():
-    kind = StressCommand if command is stress else TyperCommand
+    kind = StressCommand if command is stress else Command
     app.command(cls=kind, epilog=epilog)(command)
 
 

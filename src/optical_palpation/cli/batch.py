@@ -28,19 +28,29 @@ def batch(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(help="Folder of the results.  [default: named after TABLE, beside it]"),
+        typer.Option(
+            metavar="FOLDER", help="Folder of the results.  [default: named after TABLE, beside it]"
+        ),
     ] = None,
     regions: Annotated[
         Path | None,
-        typer.Option(help="Regions of interest for all scans (ImageJ, napari, CSV or a mask)."),
+        typer.Option(
+            metavar="FILE",
+            help="Regions of interest for all scans (ImageJ, napari, CSV or a mask).",
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(help="Address of a running Dask scheduler, or its scheduler file (.json)."),
+        typer.Option(
+            metavar="ADDRESS",
+            help="Address of a running Dask scheduler, or its scheduler file (.json).",
+        ),
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(help="Workers on this machine.  [default: as cores and memory allow]"),
+        typer.Option(
+            metavar="NUMBER", help="Workers on this machine.  [default: as cores and memory allow]"
+        ),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:

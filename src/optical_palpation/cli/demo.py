@@ -20,9 +20,9 @@ Open {report} in a browser, or look at {picture}."""
 
 
 def demo(
-    output: Annotated[Path, typer.Option(help="Folder for the results; made if need be.")] = Path(
-        "demo-output"
-    ),
+    output: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder for the results; made if need be.")
+    ] = Path("demo-output"),
 ) -> None:
     """Make the sample "relief", run its study, and compare the result with the truth."""
     sample("relief", output)

@@ -21,17 +21,21 @@ def experiment(
             show_default=False,
         ),
     ],
-    output: Annotated[Path, typer.Option(help="Folder for the results; made if need be.")] = Path(
-        "experiment-output"
-    ),
+    output: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder for the results; made if need be.")
+    ] = Path("experiment-output"),
     element_size: Annotated[
         float | None,
-        typer.Option(help="Lateral size of the elements, mm, instead of the scene's."),
+        typer.Option(
+            metavar="NUMBER", help="Lateral size of the elements, mm, instead of the scene's."
+        ),
     ] = None,
     volumes: Annotated[
         bool, typer.Option("--volumes", help="Also write OCT volumes: unloaded.npy, loaded.npy.")
     ] = False,
-    threads: Annotated[int | None, typer.Option(help="Number of threads.")] = None,
+    threads: Annotated[
+        int | None, typer.Option(metavar="NUMBER", help="Number of threads.")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
     """Press a layer on a virtual sample: its thickness as OCT would see it, and the true stress.

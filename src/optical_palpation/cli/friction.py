@@ -39,12 +39,16 @@ def friction(
     calibration: Annotated[
         Path | None,
         typer.Option(
+            metavar="FILE",
             help="Calibration curves that were saved (.nc), instead of new ones.",
             rich_help_panel=_LAYER,
         ),
     ] = None,
     coefficients: Annotated[
-        str, typer.Option(help="Coefficients of the calibration curves.", rich_help_panel=_LAYER)
+        str,
+        typer.Option(
+            metavar="TEXT", help="Coefficients of the calibration curves.", rich_help_panel=_LAYER
+        ),
     ] = "0.02,0.1,0.2,0.3,0.4",
     layer_size: Annotated[
         tuple[float, float] | None,
@@ -52,11 +56,14 @@ def friction(
     ] = None,
     initial_thickness: Annotated[
         float | None,
-        typer.Option(help="Thickness of the unloaded layer, mm.", rich_help_panel=_LAYER),
+        typer.Option(
+            metavar="NUMBER", help="Thickness of the unloaded layer, mm.", rich_help_panel=_LAYER
+        ),
     ] = None,
     loaded_thickness: Annotated[
         float | None,
         typer.Option(
+            metavar="NUMBER",
             help="Thickness under the preload, mm; of volumes, that between the faces.",
             rich_help_panel=_LAYER,
         ),
@@ -64,30 +71,48 @@ def friction(
     law: Annotated[
         LawChoice, typer.Option(help=LAW_HELP, rich_help_panel=_LAYER)
     ] = LawChoice.MOONEY_RIVLIN,
-    c10: Annotated[float | None, typer.Option(help=C10_HELP, rich_help_panel=_LAYER)] = None,
-    c01: Annotated[float | None, typer.Option(help=C01_HELP, rich_help_panel=_LAYER)] = None,
-    c20: Annotated[float | None, typer.Option(help=C20_HELP, rich_help_panel=_LAYER)] = None,
-    c30: Annotated[float | None, typer.Option(help=C30_HELP, rich_help_panel=_LAYER)] = None,
+    c10: Annotated[
+        float | None, typer.Option(metavar="NUMBER", help=C10_HELP, rich_help_panel=_LAYER)
+    ] = None,
+    c01: Annotated[
+        float | None, typer.Option(metavar="NUMBER", help=C01_HELP, rich_help_panel=_LAYER)
+    ] = None,
+    c20: Annotated[
+        float | None, typer.Option(metavar="NUMBER", help=C20_HELP, rich_help_panel=_LAYER)
+    ] = None,
+    c30: Annotated[
+        float | None, typer.Option(metavar="NUMBER", help=C30_HELP, rich_help_panel=_LAYER)
+    ] = None,
     bulk_to_shear: Annotated[
-        float, typer.Option(help="Bulk over shear modulus.", rich_help_panel=_LAYER)
+        float,
+        typer.Option(metavar="NUMBER", help="Bulk over shear modulus.", rich_help_panel=_LAYER),
     ] = 1e4,
     sample_friction: Annotated[
         float,
-        typer.Option(help="Friction coefficient between layer and sample.", rich_help_panel=_LAYER),
+        typer.Option(
+            metavar="NUMBER",
+            help="Friction coefficient between layer and sample.",
+            rich_help_panel=_LAYER,
+        ),
     ] = 0.1,
     region: Annotated[
         float | None,
         typer.Option(
+            metavar="NUMBER",
             help="Width of the square about the layer's centre over which the measurement is "
             "averaged, mm; of volumes, all that they hold.",
             rich_help_panel=_LAYER,
         ),
     ] = None,
     step: Annotated[
-        float, typer.Option(help="Additional compression, mm.", rich_help_panel=_LAYER)
+        float,
+        typer.Option(metavar="NUMBER", help="Additional compression, mm.", rich_help_panel=_LAYER),
     ] = 5e-4,
     elements: Annotated[
-        int, typer.Option(help="Elements through the depth.", min=2, rich_help_panel=_LAYER)
+        int,
+        typer.Option(
+            metavar="NUMBER", help="Elements through the depth.", min=2, rich_help_panel=_LAYER
+        ),
     ] = 6,
     depth_in_mm: Annotated[
         bool,
@@ -98,24 +123,36 @@ def friction(
     ] = False,
     window_depth: Annotated[
         float | None,
-        typer.Option(help="Depth of the layer's face at the window, mm.", rich_help_panel=_VOLUMES),
+        typer.Option(
+            metavar="NUMBER",
+            help="Depth of the layer's face at the window, mm.",
+            rich_help_panel=_VOLUMES,
+        ),
     ] = None,
     sample_depth: Annotated[
         float | None,
-        typer.Option(help="Depth of the layer's face at the sample, mm.", rich_help_panel=_VOLUMES),
+        typer.Option(
+            metavar="NUMBER",
+            help="Depth of the layer's face at the sample, mm.",
+            rich_help_panel=_VOLUMES,
+        ),
     ] = None,
     margin: Annotated[
         float,
         typer.Option(
-            help="Depth next to both faces that is left out, mm.", rich_help_panel=_VOLUMES
+            metavar="NUMBER",
+            help="Depth next to both faces that is left out, mm.",
+            rich_help_panel=_VOLUMES,
         ),
     ] = 0.01,
     wavelength: Annotated[
         float | None,
-        typer.Option(help="Central wavelength in vacuum, mm.", rich_help_panel=_VOLUMES),
+        typer.Option(
+            metavar="NUMBER", help="Central wavelength in vacuum, mm.", rich_help_panel=_VOLUMES
+        ),
     ] = None,
     refractive_index: Annotated[
-        float | None, typer.Option(help="Of the layer.", rich_help_panel=_VOLUMES)
+        float | None, typer.Option(metavar="NUMBER", help="Of the layer.", rich_help_panel=_VOLUMES)
     ] = None,
     optical_depth: Annotated[
         bool,
@@ -137,7 +174,9 @@ def friction(
     axes: Annotated[
         str | None,
         typer.Option(
-            help="Order of the volumes' axes, slowest first, such as yzx.", rich_help_panel=_VOLUMES
+            metavar="TEXT",
+            help="Order of the volumes' axes, slowest first, such as yzx.",
+            rich_help_panel=_VOLUMES,
         ),
     ] = None,
     spacing: Annotated[
@@ -151,19 +190,30 @@ def friction(
     variable: Annotated[
         str | None,
         typer.Option(
-            help="Array of the volumes, where a file has several.", rich_help_panel=_VOLUMES
+            metavar="TEXT",
+            help="Array of the volumes, where a file has several.",
+            rich_help_panel=_VOLUMES,
         ),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option(help="Also write the estimate (.json).", rich_help_panel=_OUTPUT)
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Also write the estimate (.json).", rich_help_panel=_OUTPUT
+        ),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(help="Also draw curves and profile (.png, .pdf).", rich_help_panel=_OUTPUT),
+        typer.Option(
+            metavar="FILE",
+            help="Also draw curves and profile (.png, .pdf).",
+            rich_help_panel=_OUTPUT,
+        ),
     ] = None,
     save_calibration: Annotated[
         Path | None,
-        typer.Option(help="Also write the calibration curves (.nc).", rich_help_panel=_OUTPUT),
+        typer.Option(
+            metavar="FILE", help="Also write the calibration curves (.nc).", rich_help_panel=_OUTPUT
+        ),
     ] = None,
     quiet: Annotated[
         bool, typer.Option("--quiet", help="Print nothing but errors.", rich_help_panel=_OUTPUT)

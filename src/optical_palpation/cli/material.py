@@ -40,13 +40,22 @@ def material(
     ],
     law: Annotated[
         list[LawChoice] | None,
-        typer.Option(help="Law to fit; may be repeated; all if not given.", show_default=False),
+        typer.Option(
+            metavar="LAW",
+            help="Law to fit: mooney-rivlin, neo-hookean, yeoh or ogden; may be repeated; all if "
+            "not given.",
+            show_default=False,
+        ),
     ] = None,
     strain_column: Annotated[
-        str | None, typer.Option(help="Column of strain or displacement, if not found by name.")
+        str | None,
+        typer.Option(
+            metavar="TEXT", help="Column of strain or displacement, if not found by name."
+        ),
     ] = None,
     stress_column: Annotated[
-        str | None, typer.Option(help="Column of stress or force, if not found by name.")
+        str | None,
+        typer.Option(metavar="TEXT", help="Column of stress or force, if not found by name."),
     ] = None,
     measure: Annotated[
         Measure | None, typer.Option(help="Measure, where a table has both or says nothing.")
@@ -55,14 +64,17 @@ def material(
         Loading | None, typer.Option(help="Direction of the test, where signs leave it open.")
     ] = None,
     height: Annotated[
-        float | None, typer.Option(help="Unloaded height, mm, for a table of displacement.")
+        float | None,
+        typer.Option(metavar="NUMBER", help="Unloaded height, mm, for a table of displacement."),
     ] = None,
     area: Annotated[
-        float | None, typer.Option(help="Unloaded area, mm2, for a table of force.")
+        float | None,
+        typer.Option(metavar="NUMBER", help="Unloaded area, mm2, for a table of force."),
     ] = None,
     contact: Annotated[
         float | None,
         typer.Option(
+            metavar="NUMBER",
             help="Recorded strain at which the platen meets the specimen, positive in the "
             "direction of loading; found if not given, and 0 trusts the recorded zero.",
             show_default=False,
@@ -71,6 +83,7 @@ def material(
     toe_end: Annotated[
         float | None,
         typer.Option(
+            metavar="NUMBER",
             help="Recorded strain up to which points are left out; by default the end of the toe "
             "that was found, or the contact that was given.",
             show_default=False,
@@ -80,8 +93,12 @@ def material(
         tuple[float, float] | None,
         typer.Option(metavar="LOW HIGH", help="Strains since contact to fit, both positive."),
     ] = None,
-    output: Annotated[Path | None, typer.Option(help="Also write the fits (.json).")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Also draw test and fits (.png, .pdf).")] = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write the fits (.json).")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also draw test and fits (.png, .pdf).")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
     """Fit hyperelastic laws to a uniaxial test of the layer's material."""

@@ -11,13 +11,19 @@ from optical_palpation.cli.progress import ProgressDisplay
 
 
 def reproduce(
-    output: Annotated[Path, typer.Option(help="Folder of page and pictures; made if need be.")],
+    output: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder of page and pictures; made if need be.")
+    ],
     only: Annotated[
-        list[str] | None, typer.Option(help="Part to make; may be repeated. All by default.")
+        list[str] | None,
+        typer.Option(metavar="TEXT", help="Part to make; may be repeated. All by default."),
     ] = None,
     data: Annotated[
         Path | None,
-        typer.Option(help="Folder of third-party data; parts that need them are else left out."),
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder of third-party data; parts that need them are else left out.",
+        ),
     ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Coarsest grids: shows only that everything runs.")
@@ -25,7 +31,9 @@ def reproduce(
     again: Annotated[
         bool, typer.Option("--again", help="Make parts anew that are there already.")
     ] = False,
-    threads: Annotated[int | None, typer.Option(help="Number of threads.", min=1)] = None,
+    threads: Annotated[
+        int | None, typer.Option(metavar="NUMBER", help="Number of threads.", min=1)
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
     """Make the validation page: the paper's figures and statements, ours, and why they differ.

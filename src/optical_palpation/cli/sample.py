@@ -18,7 +18,8 @@ def sample(
         ),
     ],
     output: Annotated[
-        Path | None, typer.Option(help="Folder; made if need be.  [default: NAME]")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Folder; made if need be.  [default: NAME]"),
     ] = None,
 ) -> None:
     """Write a small measurement with a known answer: OCT volumes, a study of them, the truth."""

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
+from optical_palpation.cli.grammar import Command
 from optical_palpation.cli.law import (
     ALPHA_HELP,
     C01_HELP,
@@ -41,7 +41,7 @@ class Edges(StrEnum):
     PADDED = "padded"
 
 
-class StressCommand(TyperCommand):
+class StressCommand(Command):
     """Lets ``--element-size`` take one value or three, which option parsers cannot express."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -71,21 +71,25 @@ def stress(
             metavar="NUMBER|MAP", help="Unloaded thickness: mm, or a map like the first one."
         ),
     ],
-    output: Annotated[Path, typer.Option(help="Result, NetCDF (.nc).")],
+    output: Annotated[Path, typer.Option(metavar="FILE", help="Result, NetCDF (.nc).")],
     law: Annotated[LawChoice, typer.Option(help=LAW_HELP)] = LawChoice.MOONEY_RIVLIN,
-    c10: Annotated[float | None, typer.Option(help=C10_HELP)] = None,
-    c01: Annotated[float | None, typer.Option(help=C01_HELP)] = None,
-    c20: Annotated[float | None, typer.Option(help=C20_HELP)] = None,
-    c30: Annotated[float | None, typer.Option(help=C30_HELP)] = None,
-    mu: Annotated[float | None, typer.Option(help=MU_HELP)] = None,
-    alpha: Annotated[float | None, typer.Option(help=ALPHA_HELP)] = None,
-    bulk_to_shear: Annotated[float, typer.Option(help="Bulk over shear modulus.")] = 1e4,
+    c10: Annotated[float | None, typer.Option(metavar="NUMBER", help=C10_HELP)] = None,
+    c01: Annotated[float | None, typer.Option(metavar="NUMBER", help=C01_HELP)] = None,
+    c20: Annotated[float | None, typer.Option(metavar="NUMBER", help=C20_HELP)] = None,
+    c30: Annotated[float | None, typer.Option(metavar="NUMBER", help=C30_HELP)] = None,
+    mu: Annotated[float | None, typer.Option(metavar="NUMBER", help=MU_HELP)] = None,
+    alpha: Annotated[float | None, typer.Option(metavar="NUMBER", help=ALPHA_HELP)] = None,
+    bulk_to_shear: Annotated[
+        float, typer.Option(metavar="NUMBER", help="Bulk over shear modulus.")
+    ] = 1e4,
     method: Annotated[Method, typer.Option(help="How to compute stress.")] = Method.COMPUTATIONAL,
     window_friction: Annotated[
-        float | None, typer.Option(help="Friction coefficient between window and layer.")
+        float | None,
+        typer.Option(metavar="NUMBER", help="Friction coefficient between window and layer."),
     ] = None,
     sample_friction: Annotated[
-        float | None, typer.Option(help="Friction coefficient between layer and sample.")
+        float | None,
+        typer.Option(metavar="NUMBER", help="Friction coefficient between layer and sample."),
     ] = None,
     sample_motion: Annotated[
         str | None,
@@ -102,16 +106,21 @@ def stress(
     edges: Annotated[Edges, typer.Option(help="Sides of the layer.")] = Edges.FREE,
     imprint_smoothing: Annotated[
         float | None,
-        typer.Option(help="Smoothing of the imprint, mm; a small default is reported."),
+        typer.Option(
+            metavar="NUMBER", help="Smoothing of the imprint, mm; a small default is reported."
+        ),
     ] = None,
     variable: Annotated[
-        str | None, typer.Option(help="Variable of the map, where a file has several.")
+        str | None,
+        typer.Option(metavar="TEXT", help="Variable of the map, where a file has several."),
     ] = None,
     initial_variable: Annotated[
-        str | None, typer.Option(help="Variable of the map of the unloaded thickness.")
+        str | None,
+        typer.Option(metavar="TEXT", help="Variable of the map of the unloaded thickness."),
     ] = None,
     length_unit: Annotated[
-        str | None, typer.Option(help="Unit of the thickness in the file: mm or um.")
+        str | None,
+        typer.Option(metavar="TEXT", help="Unit of the thickness in the file: mm or um."),
     ] = None,
     field_of_view: Annotated[
         tuple[float, float] | None, typer.Option(metavar="X Y", help="Size of the map, mm.")
@@ -130,18 +139,25 @@ def stress(
         bool,
         typer.Option("--untrusted", help="Try HDF5 files out in a process of its own first."),
     ] = False,
-    plot: Annotated[Path | None, typer.Option(help="Also draw a picture (.png, .pdf).")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also draw a picture (.png, .pdf).")
+    ] = None,
     vtk: Annotated[
-        Path | None, typer.Option(help="Also write the layer for ParaView (.vts).")
+        Path | None, typer.Option(metavar="FILE", help="Also write the layer for ParaView (.vts).")
     ] = None,
     profiles: Annotated[
-        Path | None, typer.Option(help="Also write the profiles through the centre (.csv).")
+        Path | None,
+        typer.Option(metavar="FILE", help="Also write the profiles through the centre (.csv)."),
     ] = None,
     deck: Annotated[
-        Path | None, typer.Option(help="Also write the problem for Abaqus or CalculiX (.inp).")
+        Path | None,
+        typer.Option(metavar="FILE", help="Also write the problem for Abaqus or CalculiX (.inp)."),
     ] = None,
     threads: Annotated[
-        int | None, typer.Option(help="Number of threads; all available cores by default.", min=1)
+        int | None,
+        typer.Option(
+            metavar="NUMBER", help="Number of threads; all available cores by default.", min=1
+        ),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:

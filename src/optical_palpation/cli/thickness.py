@@ -42,15 +42,17 @@ def thickness(
             show_default=False,
         ),
     ],
-    output: Annotated[Path, typer.Option(help="Thickness map, NetCDF (.nc).")],
+    output: Annotated[Path, typer.Option(metavar="FILE", help="Thickness map, NetCDF (.nc).")],
     plot: Annotated[
-        Path | None, typer.Option(help="Also draw maps and B-scans (.png, .pdf).")
+        Path | None, typer.Option(metavar="FILE", help="Also draw maps and B-scans (.png, .pdf).")
     ] = None,
     variable: Annotated[
-        str | None, typer.Option(help="Name of the array, where a file holds several.")
+        str | None,
+        typer.Option(metavar="TEXT", help="Name of the array, where a file holds several."),
     ] = None,
     axes: Annotated[
-        str | None, typer.Option(help="Order of the axes, slowest first, such as yzx.")
+        str | None,
+        typer.Option(metavar="TEXT", help="Order of the axes, slowest first, such as yzx."),
     ] = None,
     spacing: Annotated[
         tuple[float, float, float] | None,
@@ -58,7 +60,10 @@ def thickness(
     ] = None,
     scale: Annotated[Scale | None, typer.Option(help="What the samples are.")] = None,
     refractive_index: Annotated[
-        float | None, typer.Option(help="Divides the axial spacing, where it is an optical path.")
+        float | None,
+        typer.Option(
+            metavar="NUMBER", help="Divides the axial spacing, where it is an optical path."
+        ),
     ] = None,
     window: Annotated[
         str,
@@ -74,7 +79,8 @@ def thickness(
         typer.Option(metavar="FROM TO", help="Depths between which the sample is, mm."),
     ] = None,
     corrections: Annotated[
-        Path | None, typer.Option(help="Text file of anchor points and excluded regions.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Text file of anchor points and excluded regions."),
     ] = None,
     method: Annotated[Method, typer.Option(help="How boundaries are found.")] = Method.SURFACE,
     untrusted: Annotated[

@@ -13,35 +13,53 @@ from optical_palpation.cli.progress import ProgressDisplay
 def uncertainty(
     file: Annotated[Path, typer.Argument(help="The study file.", show_default=False)],
     window_friction: Annotated[
-        float, typer.Option(help="Error of the friction coefficient at the window.", min=0)
+        float,
+        typer.Option(
+            metavar="NUMBER", help="Error of the friction coefficient at the window.", min=0
+        ),
     ] = 0.05,
     sample_friction: Annotated[
-        float, typer.Option(help="Error of the friction coefficient at the sample.", min=0)
+        float,
+        typer.Option(
+            metavar="NUMBER", help="Error of the friction coefficient at the sample.", min=0
+        ),
     ] = 0.05,
     modulus: Annotated[
-        float, typer.Option(help="Relative error of the layer's stiffness, 0.02 for 2 %.", min=0)
+        float,
+        typer.Option(
+            metavar="NUMBER", help="Relative error of the layer's stiffness, 0.02 for 2 %.", min=0
+        ),
     ] = 0.0,
     thickness: Annotated[
         float,
-        typer.Option(help="Error common to the whole loaded thickness, mm.", min=0),
+        typer.Option(
+            metavar="NUMBER", help="Error common to the whole loaded thickness, mm.", min=0
+        ),
     ] = 0.0,
     thickness_noise: Annotated[
         float,
-        typer.Option(help="Random error of the loaded thickness of each pixel, mm.", min=0),
+        typer.Option(
+            metavar="NUMBER", help="Random error of the loaded thickness of each pixel, mm.", min=0
+        ),
     ] = 0.0,
     noise_correlation: Annotated[
         float,
         typer.Option(
+            metavar="NUMBER",
             help="Standard deviation of the Gaussian over which that noise is correlated, mm.",
             min=0,
         ),
     ] = 0.0,
     probes: Annotated[
-        int, typer.Option(help="Random fields that stand for the noise, two solves each.", min=1)
+        int,
+        typer.Option(
+            metavar="NUMBER", help="Random fields that stand for the noise, two solves each.", min=1
+        ),
     ] = 4,
     output: Annotated[
         Path | None,
         typer.Option(
+            metavar="FILE",
             help="Error maps (.nc); uncertainty.nc in the study's result folder.",
             show_default=False,
         ),
@@ -49,6 +67,7 @@ def uncertainty(
     plot: Annotated[
         Path | None,
         typer.Option(
+            metavar="FILE",
             help="Picture (.png, .pdf); uncertainty.png in the study's result folder.",
             show_default=False,
         ),

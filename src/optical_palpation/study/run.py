@@ -11,7 +11,7 @@ from optical_palpation.errors import InputError
 from optical_palpation.study.inputs import Unchanged, facts, open_input, parameters, read_motion
 from optical_palpation.study.plausible import check_study
 from optical_palpation.study.record import Progress, make_all
-from optical_palpation.study.schema import MapInput, Study, VolumeInput
+from optical_palpation.study.schema import MapInput, Study
 from optical_palpation.study.stages import THICKNESS, Stages
 from optical_palpation.thickness import read_corrections, read_thickness_map
 
@@ -36,16 +36,17 @@ class StudyResult:
 
 
 def describe_inputs(study: Study) -> str:
-    """Read all inputs of a study, compute and write nothing, and say what they are.
+    """Read and check all inputs of a study, compute and write nothing, and say what they are.
 
     Raises
     ------
-    InputError
-        If an input cannot be used.
+    InputError, MaterialError
+        If an input cannot be used, or numbers do not fit together.
     """
-    said = []
+    said, inputs = [], {}
     for side, source in study.inputs.items():
         try:
+            inputs[side] = facts(study, source)
             if isinstance(source, MapInput):
                 read = read_thickness_map(
                     study.path(source.map), **source.model_dump(exclude={"map"})
@@ -54,11 +55,12 @@ def describe_inputs(study: Study) -> str:
             else:
                 with open_input(study, source) as volume:
                     said.append(f"{side} volume of {' x '.join(map(str, volume.shape))} samples")
-            if isinstance(source, VolumeInput) and source.corrections:
-                read_corrections(study.path(source.corrections))
+                if source.corrections:
+                    read_corrections(study.path(source.corrections))
         except InputError as error:
             raise InputError(f"{study.file}, [{side}]: {error}") from error
     read_motion(study)
+    check_study(study, inputs)
     return ", ".join(said)
 
 
