@@ -28,7 +28,7 @@ unloaded = { thickness = 0.5 }
 loaded = { map = "map.npy", field_of_view = [3.0, 2.0] }
 material = { c10 = 2.23, c01 = 0.703 }
 friction = { window = 0.15, sample = 0.05 }
-grid = { element_size = 0.5, threads = 1 }
+grid = { element_size = 0.25, threads = 1 }
 outputs = { write = [] }
 """
 
