@@ -249,6 +249,43 @@ def test_dicom_scale_and_padding(tmp_path):
     np.testing.assert_array_equal(found, np.where(data == padding, np.nan, data))
 
 
+def test_channels_are_no_b_scans(tmp_path):
+    pages = np.ones((2, 40, 30), np.uint16)
+    tifffile.imwrite(tmp_path / "a.ome.tif", pages, metadata={"axes": "CYX"})
+    tifffile.imwrite(tmp_path / "b.tif", pages, imagej=True, metadata={"axes": "CYX"})
+    for name in ("a.ome.tif", "b.tif"):
+        with pytest.raises(InputError, match="2 channels"):
+            open_volume(tmp_path / name, **samples.GIVEN)
+
+
+def test_ome_zarr_scales_by_image_and_level(tmp_path):
+    import zarr
+
+    path, facts = samples.WRITERS["ome_zarr"](tmp_path, samples.volume())
+    group = zarr.open_group(str(path), mode="r+")
+    images = group.attrs["multiscales"]
+    images[0]["coordinateTransformations"] = [
+        {"type": "scale", "scale": [1, 1, 2, 2, 2]},
+        {"type": "translation", "translation": [0, 0, 0, 0, 500]},
+    ]
+    group.attrs["multiscales"] = images
+    with open_volume(path, **facts) as volume:
+        doubled = tuple(2 * step for step in samples.SPACING.values())
+        assert volume.metadata.spacing == pytest.approx(doubled)
+        assert volume.metadata.origin == pytest.approx((0, 0, 0.5))
+
+
+def test_scale_and_direction_that_a_file_states(tmp_path):
+    data = samples.volume()
+    path = netcdf_volume(tmp_path / "a.nc", data, {"units": "dB"})
+    with open_volume(path) as volume:
+        assert volume.metadata.scale == "dB"
+    falling = ("y", -20.0 * np.arange(5), {"units": "um"})
+    path = netcdf_volume(tmp_path / "b.nc", data, y=falling)
+    with pytest.raises(InputError, match="coordinate y falls"):
+        open_volume(path, scale="dB")
+
+
 # --- phases -------------------------------------------------------------------------------------
 
 PHASE = {"axes": "zyx", "spacing": {"z": 0.004, "y": 0.02, "x": 0.02}}

@@ -229,17 +229,23 @@ def _ome(description: str, shape: tuple[int, ...], path: str) -> Stated:
             return None
         return to_mm(_number(value, path), pixels.get(f"PhysicalSize{axis}Unit", "um"), path)
 
+    if pixels.get("SizeC", "1") != "1":
+        raise InputError(f"{path}: holds {pixels.get('SizeC')} channels, not one volume")
     if len(shape) == 2:
         return Stated(axes="zx", spacing=(step("Y"), step("X")))
     if pixels.get("SizeZ") == str(shape[0]) and shape[0] > 1:
         return Stated(axes="zyx", spacing=(step("Z"), step("Y"), step("X")))
-    # A series in time or channel: pages are B-scans, their distance is not recorded.
+    # A series in time: pages are B-scans, their distance is not recorded.
     return Stated(axes="yzx", spacing=(None, step("Y"), step("X")))
 
 
 def _imagej(metadata: dict[str, Any], page: Any, stack: bool, path: str) -> Stated:
     axes = "yzx" if stack else "zx"
     unit = metadata.get("unit")
+    if metadata.get("channels", 1) != 1:
+        raise InputError(f"{path}: holds {metadata['channels']} channels, not one volume")
+    if any(metadata.get(f"{axis}unit", unit) != unit for axis in "yz"):
+        raise InputError(f"{path}: its pixel sizes are in different units; state one in ImageJ")
     if not isinstance(unit, str) or length_unit(unit) is None:
         return Stated(axes=axes)
 

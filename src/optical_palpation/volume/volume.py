@@ -31,7 +31,7 @@ from .arrays import (
 from .contents import Contents, Variable, translated_errors
 from .labels import coordinate
 from .metadata import VolumeMetadata, settle
-from .units import MM, split_unit
+from .units import MM, is_unit_key, split_unit
 
 # What is read at once where B-scans cut across the order of the file.
 _SLAB_BYTES = 64 * 2**20
@@ -265,7 +265,12 @@ def _described(path: Path, contents: Contents, name: str) -> Variable:
     variable = contents.variables[name]
     axes = "".join(split_unit(dim)[0].lower() for dim in variable.dims)
     stated = variable.stated
-    if sorted(axes) != ["x", "y", "z"] or stated.axes is not None or stated.spacing is not None:
+    unit = next((str(v).strip().lower() for k, v in variable.attrs.items() if is_unit_key(k)), "")
+    if stated.scale is None and unit in ("db", "decibel", "decibels"):
+        stated = replace(stated, scale="dB")
+        variable = replace(variable, stated=stated)
+    named = sorted(axes) in (["x", "y", "z"], ["x", "z"])
+    if not named or stated.axes is not None or stated.spacing is not None:
         return variable
     spacing: list[float | None] = []
     origin = []
@@ -276,6 +281,10 @@ def _described(path: Path, contents: Contents, name: str) -> Variable:
         steps = np.diff(found.values) * MM[found.unit]
         if len(steps) and not np.allclose(steps, steps.mean(), rtol=1e-3, atol=0):
             raise InputError(f"{path}, variable {name}: coordinate {axis} is not evenly spaced")
+        if len(steps) and steps.mean() <= 0.0:
+            raise InputError(
+                f"{path}, variable {name}: coordinate {axis} falls; turn the array around"
+            )
         spacing.append(steps.mean() if len(steps) else None)
         origin.append(found.values[0] * MM[found.unit])
     stated = replace(stated, axes=axes, spacing=tuple(spacing), origin=tuple(origin))

@@ -57,7 +57,7 @@ def contents(path: Path, wanted: str | None) -> Contents:
     array: Any = node[image["datasets"][0]["path"]]
     if not isinstance(array, zarr.Array):
         raise InputError(f"{path}: {image['datasets'][0]['path']} is not an array")
-    stated = _ome(image["axes"], image["datasets"][0], array.shape, str(path))
+    stated = _ome(image, array.shape, str(path))
     return Contents({"": _variable(path, array, stated)})
 
 
@@ -164,12 +164,19 @@ def _ome_image(attributes: Any, where: str) -> Any:
     return None
 
 
-def _ome(axes: Any, dataset: Any, shape: tuple[int, ...], where: str) -> Stated:
-    """Axes and scale of an OME-Zarr image, without its time and channel axes of length one."""
-    factors: Any = [1.0] * len(shape)
-    for transform in dataset.get("coordinateTransformations", ()):
-        if transform.get("type") == "scale":
-            factors = np.asarray(transform.get("scale", ()), float).ravel().tolist()
+def _ome(image: Any, shape: tuple[int, ...], where: str) -> Stated:
+    """Axes, scale and origin of an OME-Zarr image, without its time and channel axes of one."""
+    axes = image["axes"]
+    factors: Any = np.ones(len(shape))
+    shifts: Any = np.zeros(len(shape))
+    for level in (image["datasets"][0], image):  # applied one after the other
+        for transform in level.get("coordinateTransformations") or ():
+            kind = transform.get("type")
+            values = np.asarray(transform.get(kind, np.nan), float).ravel()
+            if kind not in ("scale", "translation") or values.size != len(shape):
+                raise InputError(f"{where}: its coordinateTransformations are not understood")
+            shifts = shifts * values if kind == "scale" else shifts + values
+            factors = factors * values if kind == "scale" else factors
     if not len(axes) == len(factors) == len(shape):
         raise InputError(f"{where}: {len(axes)} named axes for an array of shape {shape}")
     kept = [i for i, axis in enumerate(axes) if axis["name"] in ("z", "y", "x")]
@@ -178,4 +185,7 @@ def _ome(axes: Any, dataset: Any, shape: tuple[int, ...], where: str) -> Stated:
     spacing = [
         to_mm(factors[i], axes[i]["unit"], where) if axes[i].get("unit") else None for i in kept
     ]
-    return Stated(axes="".join(axes[i]["name"] for i in kept), spacing=tuple(spacing))
+    origin = None
+    if shifts.any() and all(axes[i].get("unit") for i in kept):
+        origin = tuple(to_mm(shifts[i], axes[i]["unit"], where) for i in kept)
+    return Stated("".join(axes[i]["name"] for i in kept), tuple(spacing), origin)
