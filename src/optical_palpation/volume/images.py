@@ -47,6 +47,7 @@ def contents(path: Path, wanted: str | None) -> Contents:
                 f"{path}: {file.name} has shape {other[0]} and type {other[1]}, but "
                 f"{files[0].name} has {shape} and {dtype}; all B-scans must agree"
             )
+    _check_sequence(files)
     array: Any = PagedArray(lambda i: _pixels(files[i]), dtype, (len(files), *shape))
     if len(files) == 1:
         return Contents.single(squeezed(array, keep=2), Stated(axes="zx"), "streamed")
@@ -65,9 +66,7 @@ def _images(folder: Path) -> list[Path]:
                     raise InputError(
                         f"{file}: is no image, whatever its name says; empty or damaged?"
                     )
-    found.sort(key=_natural)
-    _check_sequence(found)
-    return found
+    return sorted(found, key=_natural)
 
 
 def _check_sequence(files: list[Path]) -> None:
