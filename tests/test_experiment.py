@@ -390,6 +390,8 @@ def test_compression_out_of_reach_says_how_far_it_came(monkeypatch):
 
     monkeypatch.setattr(load_path, "equilibrate", fails_late)
     with pytest.raises(ConvergenceError, match=r"to (29\.\d|30\.0) % of 0\.05 mm only: an element"):
+        run_experiment(scene(compression=0.05, friction=FRICTION), threads=1)
+    with pytest.raises(ConvergenceError, match="Nothing holds the layer and the sample sideways"):
         run_experiment(scene(compression=0.05), threads=1)
 
 

@@ -113,8 +113,7 @@ def run_experiment(
     except LoadNotReached as failure:
         raise ConvergenceError(
             f"the sample was compressed to {100 * failure.load:.1f} % of "
-            f"{scene.compression:g} mm only: {failure.reason}. Try less compression, a flatter "
-            "relief, smaller elements or less contrast of stiffness"
+            f"{scene.compression:g} mm only: {failure.reason}. {_advice(scene)}"
         ) from None
     stack, state = levels[-1], path.state
 
@@ -170,6 +169,22 @@ def _check(scene: Scene) -> None:
         )
     if not 1e-4 < layer.shear_modulus / sample.shear_modulus < 1e4:
         raise InputError("sample: stiffer or softer than the layer by more than a factor of 10000")
+
+
+def _advice(scene: Scene) -> str:
+    """What may help where a scene does not reach its load."""
+    friction = scene.friction
+    faces = {
+        "layer": (friction.window, friction.sample),
+        "sample": (friction.sample, friction.plate),
+    }
+    loose = [body for body, coefficients in faces.items() if not any(coefficients)]
+    if loose:
+        return (
+            f"Nothing holds the {' and the '.join(loose)} sideways: give a face of it friction, "
+            "1e-3 for instance"
+        )
+    return "Try less compression, a flatter relief, smaller elements or less contrast of stiffness"
 
 
 def _coarser(scene: Scene, factor: float) -> bool:
