@@ -180,10 +180,8 @@ def _advice(scene: Scene) -> str:
     }
     loose = [body for body, coefficients in faces.items() if not any(coefficients)]
     if loose:
-        return (
-            f"Nothing holds the {' and the '.join(loose)} sideways: give a face of it friction, "
-            "1e-3 for instance"
-        )
+        bodies = " and the ".join(loose)
+        return f"Nothing holds the {bodies} sideways: there is no friction on either face"
     return "Try less compression, a flatter relief, smaller elements or less contrast of stiffness"
 
 
