@@ -115,3 +115,16 @@ def test_every_local_link_leads_somewhere(page):
     for target in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
         if "://" not in target:
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def test_site_builds_without_a_warning_and_shows_every_page(tmp_path):
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
+    done = subprocess.run(
+        [*command, "-d", tmp_path / "trees", ROOT / "docs", tmp_path / "site"],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    for page in (ROOT / "docs").glob("**/*.md"):
+        made = tmp_path / "site" / page.relative_to(ROOT / "docs").with_suffix(".html")
+        assert made.is_file()
