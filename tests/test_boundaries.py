@@ -46,6 +46,30 @@ def test_neither_ghosts_nor_saturated_columns_nor_a_bright_interface_mislead():
     assert rms(found(troubled)[1]) < 1.5
 
 
+@pytest.mark.parametrize("saturated", [False, True])
+def test_a_specular_spot_lowers_the_quality_and_is_flagged(saturated):
+    of = volume()
+    stack = np.stack(list(of), axis=1)
+    plain = find_layer(stack, spacing=SPACING, scale="linear")
+    assert plain.specular_share < 0.001
+    top = np.round(plain.sample_depth.values / SPACING[0]).astype(int)
+    glare = 30.0 * stack.max()
+    if saturated:
+        glare = stack.max()  # the detector shows no more, but for longer
+    for y in range(28, 34):
+        for x in range(50, 56):
+            stack[top[y, x] - (9 if saturated else 5) : top[y, x] - 3, y, x] = glare
+    layer = find_layer(stack, spacing=SPACING, scale="linear")
+    error = np.abs(layer.sample_depth.values - plain.sample_depth.values) / SPACING[0]
+    assert error.max() > 1.0
+    # what it moves by more than a pixel is marked
+    assert (layer.specular.values | layer.filled.values)[error > 1.0].all()
+    assert layer.quality.values[28:34, 50:56].max() < 0.5 * plain.quality.values.min()
+    far = np.ones(SHAPE, bool)
+    far[19:43, 41:65] = False
+    assert not layer.specular.values[far].any()
+
+
 def test_a_shadow_is_filled_and_says_so():
     light = np.ones(SHAPE)
     light[16:44, 34:62] = 1e-4

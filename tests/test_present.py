@@ -99,7 +99,7 @@ def example(nx=6, ny=5, nz=4):
 
 
 def algebraic_example():
-    maps = example().maps[["algebraic_axial_stress", "contact_state", "loaded_thickness"]]
+    maps = example().maps[["algebraic_axial_stress", "loaded_thickness"]]
     return StressResult(maps.assign(axial_stress=maps["algebraic_axial_stress"]).assign_attrs({}))
 
 

@@ -10,7 +10,7 @@ import xarray as xr
 from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.material import Law
 from optical_palpation.palpation.plausibility import unusual
-from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.palpation.result import StressResult
 from optical_palpation.thickness.frames import inside_layer, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
 
@@ -87,18 +87,16 @@ def algebraic_result(
     -------
     StressResult
         Maps on the pixels of `loaded`: ``axial_stress`` and the same as
-        ``algebraic_axial_stress`` (kPa), ``loaded_thickness`` (mm) and ``contact_state``. The
-        uniaxial test of each pixel knows no friction, so what touches slips. No ``layer``.
+        ``algebraic_axial_stress`` (kPa) and ``loaded_thickness`` (mm). The uniaxial test of each
+        pixel knows no contact: there is neither a ``contact_state`` nor a ``layer``.
     """
     loaded = on_grid(loaded)
     initial = match_initial_thickness(initial_thickness, loaded)
     stress = algebraic_stress(loaded, initial, material)
-    state = np.where(stress < 0, ContactState.SLIP, ContactState.OPEN).astype(np.int8)
     maps = xr.Dataset(
         {
             "axial_stress": stress,
             "algebraic_axial_stress": stress,
-            "contact_state": (("y", "x"), state),
             "loaded_thickness": loaded,
         },
         attrs={

@@ -44,7 +44,7 @@ class StressResult:
         ``loaded_thickness`` (mm), ``algebraic_axial_stress``. The attributes hold the total forces
         ``window_force_mN`` and ``sample_force_mN``, all parameters and the convergence record.
         The algebraic method fills only ``axial_stress`` (equal to ``algebraic_axial_stress``),
-        ``contact_state`` and ``loaded_thickness``.
+        and ``loaded_thickness``: it knows no contact.
     layer
         The deformed layer on its own (reference) grid, or ``None`` for the algebraic method.
         Node variables on ``(z, y, x)``: ``position`` and ``displacement`` (trailing dimension

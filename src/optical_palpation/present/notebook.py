@@ -18,7 +18,7 @@ _DPI = 110
 def result_html(result: StressResult) -> str:
     """Return the panel of a result as a picture, and below it the summary in words."""
     picture = ""
-    if {"axial_stress", "loaded_thickness", "contact_state"} <= set(result.maps.data_vars):
+    if {"axial_stress", "loaded_thickness"} <= set(result.maps.data_vars):
         stream = io.BytesIO()
         with new_figure("double", panel_height(result.maps)) as figure:
             draw_panel(result.maps, figure)

@@ -58,12 +58,12 @@ def draw_panel(maps: xr.Dataset, figure: Figure) -> None:
     methods = {"algebraic": "algebraic_axial_stress", "computational": "axial_stress"}
     if not computational:
         methods = {"algebraic": "axial_stress"}
-    shown = ["loaded_thickness", *methods.values(), "contact_state"]
+    shown = ["loaded_thickness", *methods.values(), *(["contact_state"] if computational else [])]
     stress = common_limits({n: maps[n] for n in methods.values()}, "")
     axes = figure.subplot_mosaic([list("TTAACC"), list("SSXXYY")] if computational else [
-        list("TTAASS"), list("XXXYYY"),
+        list("TA"), list("XY"),
     ])  # fmt: skip
-    places = "TACS" if computational else "TAS"
+    places = "TACS" if computational else "TA"
     for place, name in zip(places, shown, strict=True):
         what = term(maps, name)
         draw_map(axes[place], maps[name], what, limits=stress if what.scale == "stress" else None)

@@ -40,13 +40,14 @@ def summarise(result: StressResult) -> str:
             f"axial stress, {method}: mean {np.nanmean(stress):.3f} kPa, 99 % of the map above "
             f"{np.nanpercentile(stress, 1):.3f} kPa, most compressed {np.nanmin(stress):.3f} kPa"
         )
-    state = maps["contact_state"].values
-    shares = [
-        f"{kind.name.lower()} {np.mean(state == kind):.1%}"
-        for kind in reversed(ContactState)
-        if np.any(state == kind)
-    ]
-    lines.append("contact with the sample: " + ", ".join(shares))
+    if "contact_state" in maps:  # the algebraic method computes none
+        state = maps["contact_state"].values
+        shares = [
+            f"{kind.name.lower()} {np.mean(state == kind):.1%}"
+            for kind in reversed(ContactState)
+            if np.any(state == kind)
+        ]
+        lines.append("contact with the sample: " + ", ".join(shares))
     if open_share := maps.attrs.get("no_contact_share"):
         lines.append(f"not thinner than unloaded, so taken as open: {open_share:.2%} of the map")
     change = maps.attrs.get("volume_change_percent", 0.0)

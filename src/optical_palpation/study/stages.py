@@ -171,6 +171,9 @@ class Stages:
             made_up = whole["filled"].reindex(here, method="nearest")
         matched = match_initial_thickness(initial, cleaned["thickness"])
         matched.attrs |= source
+        if isinstance(study.loaded, VolumeInput):
+            found = xr.load_dataset(path.with_name("boundaries-loaded.nc"), engine="h5netcdf")
+            attrs["specular_share"] = found.attrs["specular_share"]
         result = xr.Dataset(
             {
                 "loaded_thickness": cleaned["thickness"],
@@ -286,6 +289,11 @@ def warnings_about(result: StressResult) -> list[str]:
                 f"{share:.1%} of the {which} thickness could not be measured and was filled from "
                 "around: look at the boundaries before you trust the stress there"
             )
+    if (share := attrs.get("specular_share", 0.0)) > 0:
+        said.append(
+            f"{share:.1%} of the loaded volume is outshone by reflections, which may draw the "
+            "boundary to themselves: look at the pixels marked as specular in boundaries-loaded.nc"
+        )
     if "registration_shift_mm" in attrs:
         y, x = np.ravel(attrs["registration_shift_mm"])
         said.append(

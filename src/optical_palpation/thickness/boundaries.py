@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter, median_filter
 
 from optical_palpation.errors import InputError
 
@@ -29,6 +29,8 @@ BAND = 24.0  # ... around a tracked surface that are read again for its refineme
 CELLS = (2.0, 4.0)  # lateral averaging over this many resolution cells, in two and in one dimension
 WORST_CONTRAST = 0.25  # a boundary of less contrast is not seen
 HAMPEL = 3.0  # an outlier is this many (robust) standard deviations off the median around it
+#: Times by which a reflection exceeds the usual intensity of the brightest sample of an A-scan.
+SPECULAR = 8.0
 FWHM = 2.355
 RELEASE = 32  # B-scans after which the pages of a mapped file are given back
 
@@ -135,9 +137,10 @@ def find_layer(
     -------
     xarray.Dataset
         On (y, x): ``window_depth``, ``sample_depth`` and ``thickness`` in mm, ``quality`` in
-        [0, 1] (the lower Michelson contrast of the two boundaries, 0 where filled) and ``filled``
-        (True where one of the boundaries was not seen, or was an outlier, and was filled from
-        around).
+        [0, 1] (the lower Michelson contrast of the two boundaries, lower where a reflection
+        outshines the sample, 0 where filled), ``filled`` (True where one of the boundaries was not
+        seen, or was an outlier, and was filled from around) and ``specular`` (True where there is
+        such a reflection, which may draw the boundary to itself).
 
     Raises
     ------
@@ -164,10 +167,11 @@ def find_layer(
     bottom = _locate(scan, sample, lowest, np.full((ny, nx), last), fixes, "sample", method)
     found["sample"] = sample, bottom
     tell(0.5)
-    parts = {"window": (top, np.ones((ny, nx)), np.zeros((ny, nx), bool))}
+    nowhere = np.zeros((ny, nx), bool)
+    parts = {"window": (top, np.ones((ny, nx)), nowhere, nowhere)}
     parts |= _finish(scan, found, fixes, method, lambda share: tell(0.5 + 0.5 * share))
-    top, top_quality, top_filled = parts["window"]
-    bottom, bottom_quality, bottom_filled = parts["sample"]
+    top, top_quality, top_filled = parts["window"][:3]
+    bottom, bottom_quality, bottom_filled, specular = parts["sample"]
     filled = top_filled | bottom_filled
     quality = np.where(filled, 0.0, np.minimum(top_quality, bottom_quality))
     dz, z0 = scan.spacing[0], scan.origin[0]
@@ -178,9 +182,11 @@ def find_layer(
             "thickness": scan.map(dz * (bottom - top), "thickness of the layer", "mm"),
             "quality": scan.map(quality, "contrast of the weaker boundary", "1"),
             "filled": scan.map(filled, "filled from around", "1"),
+            "specular": scan.map(specular, "as bright as a reflection, near or at the pixel", "1"),
         },
         attrs={
             "method": method,
+            "specular_share": float(np.mean(specular)),
             "axial_resolution_mm": float(FWHM * scan.sigma * dz),
             "filled_share": float(np.mean(filled)),
         },
@@ -213,7 +219,7 @@ def find_surface(
         scan, edge, np.full(shape, first), np.full(shape, last), fixes, "sample", method
     )
     parts = _finish(scan, {"sample": (edge, found)}, fixes, method, lambda share: None)
-    depth, quality, filled = parts["sample"]
+    depth, quality, filled, _ = parts["sample"]
     return xr.Dataset(
         {
             "depth": scan.map(scan.origin[0] + scan.spacing[0] * depth, "depth", "mm"),
@@ -296,10 +302,10 @@ def _finish(
     fixes: Corrections,
     method: Method,
     progress: Progress,
-) -> dict[str, tuple[NDArray, NDArray, NDArray]]:
+) -> dict[str, tuple[NDArray, NDArray, NDArray, NDArray]]:
     """Refine the boundaries found, reject what is not to be believed and fill the gaps.
 
-    Returns depth (pixels), quality and filled pixels of each boundary.
+    Returns depth (pixels), quality, filled and specular pixels of each boundary.
     """
     ny, nx = scan.shape[1:]
     reach = round(BAND * scan.sigma) + 2
@@ -316,6 +322,8 @@ def _finish(
     parts = {}
     for name, (edge, start) in found.items():
         lateral = scan.lateral
+        # a line is a reflection everywhere
+        glare = _glare(bands[name], lateral) if edge == "rise" else np.ones((ny, nx))
         depth, quality = refine(
             bands.pop(name),
             starts[name],
@@ -339,9 +347,25 @@ def _finish(
         lost |= _outliers(np.where(lost, np.nan_to_num(start), depth), lateral, scan.sigma)
         weights = [1.0 / scan.spacing[1] ** 2, 1.0 / scan.spacing[2] ** 2]
         depth = _fill(np.where(lost, np.nan, depth), lost, weights)
-        parts[name] = depth, np.clip(quality, 0.0, 1.0), lost
+        parts[name] = depth, np.clip(quality / glare, 0.0, 1.0), lost, glare > 1.0
         progress(0.5 + 0.5 * len(parts) / len(found))
     return parts
+
+
+def _glare(band: NDArray[np.float32], lateral: tuple[float, float]) -> NDArray[np.float64]:
+    """How far a reflection outshines scattering at a boundary: 1 where it does not, else more.
+
+    The brightest sample of each A-scan is compared with what is usual around it. Of speckle, whose
+    intensity is distributed exponentially, it exceeds that eightfold once in a million A-scans.
+    Profiles are averaged laterally, so that a reflection counts as far as the average reaches.
+    """
+    brightest = band.max(axis=2)
+    axes = list(zip(lateral, brightest.shape, strict=True))
+    near = [2 * int(np.ceil(3.0 * s)) + 1 if n > 1 else 1 for s, n in axes]
+    around = [2 * int(np.ceil(6.0 * s)) + 1 if n > 1 else 1 for s, n in axes]
+    usual = median_filter(brightest, around, mode="reflect")
+    ratio = brightest / np.maximum(usual, np.finfo(np.float32).tiny)
+    return np.maximum(maximum_filter(ratio, near) / SPECULAR, 1.0).astype(np.float64)
 
 
 def _outliers(

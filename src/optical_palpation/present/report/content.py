@@ -253,8 +253,9 @@ def key_figures(
     for method, stress in methods(result).items():
         error = maps[names[method]].mean() if names[method] in maps else None
         figures.append((f"Mean stress, {method}", f"{_rounded(stress.mean(), error)} kPa"))
-    touching = float(np.mean(maps["contact_state"].values != ContactState.OPEN))
-    figures.append(("In contact with the sample", _percent(touching)))
+    if "contact_state" in maps:  # the algebraic method computes none
+        touching = float(np.mean(maps["contact_state"].values != ContactState.OPEN))
+        figures.append(("In contact with the sample", _percent(touching)))
     thickness = thicknesses(result, loaded, unloaded)
     if "unloaded" not in thickness and "initial_thickness_mm" in attrs:
         given = _number(attrs["initial_thickness_mm"])
