@@ -30,9 +30,8 @@ for _name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXFSZ"):
 
 #: Test files that need no solver of the layer but a small one: what to run after every change.
 QUICK = {
-    *("algebraic", "analysis", "bad_input", "cleaning", "elements", "files", "material_fit"),
-    *("material_laws", "parallel", "regions", "stencil", "study_file", "thickness_cleaning"),
-    *("thickness_errors", "thickness_maps", "volume_readers"),
+    *("algebraic", "analysis", "elements", "files", "material_laws", "plausibility", "regions"),
+    *("stencil", "study_file", "thickness_cleaning", "thickness_maps", "volume_readers"),
 }
 
 
