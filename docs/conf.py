@@ -6,7 +6,7 @@ project = "Optical palpation"
 author = copyright = "The Optical Palpation developers"
 version = release = software_version()
 extensions = ["myst_parser"]
-myst_enable_extensions = ["dollarmath"]
+myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 
 html_theme = "pydata_sphinx_theme"
