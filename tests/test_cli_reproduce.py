@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from optical_palpation.reproduce import PARTS
+from optical_palpation.reproduce import PAGES
 
 
 @pytest.fixture
@@ -26,14 +26,14 @@ def test_parts_and_page(here, run):
     only = ["--only", "friction", "--only", "resolution"]
     status, out, err = run("reproduce", "--output", "page", *only, "--quick")
     assert status == 0
-    assert out == "page: page/index.md\n"
+    assert out == "page: page/validation.md\n"
     assert "resolution: " in err
-    page = (here / "page/index.md").read_text()
+    page = (here / "page/validation.md").read_text()
     assert page.count("--quick`: the coarsest grids") == 3  # at the top and in both parts
     pictures = re.findall(r"!\[.+\]\((.+)\)", page)
-    assert pictures == ["figure-2a.png", "section-7.png"]
+    assert pictures == ["validation/figure-2a.png", "validation/section-7.png"]
     assert all((here / "page" / name).stat().st_size > 10000 for name in pictures)
-    assert page.count("Not made: choose it by") == len(PARTS) - 2
+    assert page.count("Not made: choose it by") == len(PAGES[0].chapters) - 2
 
     # Even on coarse grids the physics is there: the coefficient comes back, the algebraic edge is
     # as wide as the closed form says, and the computational one two or three elements of 62.5 um.
@@ -48,15 +48,15 @@ def test_parts_and_page(here, run):
     assert level == pytest.approx(-0.2, rel=0.03)
 
     # What is there already is kept, whatever else is asked for.
-    record = here / "page/resolution.json"
+    record = here / "page/validation/resolution.json"
     made = record.stat().st_mtime_ns
     assert run("reproduce", "--output", "page", *only, "--quick", "--quiet") == (0, "", "")
     assert record.stat().st_mtime_ns == made
     # A picture that is gone is made again.
-    (here / "page/section-7.png").unlink()
+    (here / "page/validation/section-7.png").unlink()
     assert run("reproduce", "--output", "page", "--only", "resolution", "--quick")[0] == 0
     assert record.stat().st_mtime_ns > made
-    assert (here / "page/section-7.png").exists()
+    assert (here / "page/validation/section-7.png").exists()
 
 
 def test_parts_from_third_party_data(here, run, shared_data):
@@ -65,7 +65,7 @@ def test_parts_from_third_party_data(here, run, shared_data):
         "reproduce", "--output", "page", "--only", "material", "--only", "phase", *data
     )
     assert status == 0
-    page = (here / "page/index.md").read_text()
+    page = (here / "page/validation.md").read_text()
     assert "--quick`" not in page
     assert float(cells(page, "Mooney-Rivlin coefficients")[3].split()[2]) < 0.1  # Pa
     moduli = [float(v) for v in cells(page, "initial Young's modulus")[3].split(", ")]
@@ -76,11 +76,11 @@ def test_parts_from_third_party_data(here, run, shared_data):
         assert float(row[3].split(" ± ")[0]) == pytest.approx(float(row[2]), rel=0.02)
 
     # A quick part does not stand for a whole one, nor the reverse.
-    record = here / "page/phase.json"
+    record = here / "page/validation/phase.json"
     assert json.loads(record.read_text())["quick"] is False
     run("reproduce", "--output", "page", "--only", "phase", *data, "--quick")
     assert json.loads(record.read_text())["quick"] is True
-    assert "--quick`" in (here / "page/index.md").read_text()
+    assert "--quick`" in (here / "page/validation.md").read_text()
     run("reproduce", "--output", "page", "--only", "phase", *data)
     assert json.loads(record.read_text())["quick"] is False
     made = record.stat().st_mtime_ns
@@ -91,12 +91,13 @@ def test_parts_from_third_party_data(here, run, shared_data):
 @pytest.mark.slow
 def test_everything_quickly(here, run, shared_data):
     status, out, _ = run("reproduce", "--output", "page", "--data", shared_data, "--quick")
-    assert (status, out) == (0, "page: page/index.md\n")
-    page = (here / "page/index.md").read_text()
-    assert "Not made" not in page
-    assert "nan" not in page
-    for name in re.findall(r"!\[.+\]\((.+)\)", page):
-        assert (here / "page" / name).stat().st_size > 10000
+    assert (status, out) == (0, "page: page/validation.md\npage: page/verification.md\n")
+    for name in ("validation.md", "verification.md"):
+        page = (here / "page" / name).read_text()
+        assert "Not made" not in page
+        assert "nan" not in page
+        for picture in re.findall(r"!\[.+\]\((.+)\)", page):
+            assert (here / "page" / picture).stat().st_size > 10000
 
 
 @pytest.mark.parametrize(
@@ -128,7 +129,7 @@ def test_part_without_its_data(here, run):
     status, _, err = run("reproduce", "--output", "page", "--only", "phase")
     assert status == 2
     assert "--data" in err
-    page = (here / "page/index.md").read_text()
+    page = (here / "page/validation.md").read_text()
     assert "Not made: lpl2024" not in page
     assert "third-party data are not there" in page
-    assert not (here / "page/phase.json").exists()
+    assert not (here / "page/validation/phase.json").exists()

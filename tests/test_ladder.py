@@ -6,10 +6,9 @@ import pytest
 import xarray as xr
 from numpy.testing import assert_allclose
 from scipy.interpolate import CubicSpline, RectBivariateSpline
-from scipy.optimize import brentq
 
 from optical_palpation.errors import ConvergenceError, InputError
-from optical_palpation.material import InvariantLaw, MooneyRivlin, Yeoh
+from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.body import Body
 from optical_palpation.mechanics.cascade import solve
 from optical_palpation.mechanics.contact import area_vectors
@@ -25,18 +24,6 @@ from optical_palpation.palpation.computational import _algebraic_forces
 C10, C01 = 2.23, 0.703
 MU = 2 * (C10 + C01)
 EXACT = Tolerances(force=1e-9, volume=1e-10)
-
-
-def guess(problem: LayerProblem) -> np.ndarray:
-    """Contact forces of a uniform pressure of the shear modulus."""
-    return MU * problem.grid.surface_areas(problem.grid.nodes[:, -1])
-
-
-def compressed(problem: LayerProblem) -> np.ndarray:
-    """Contact forces by the bulk modulus alone."""
-    lost = problem.imprint.unloaded.mean() - problem.imprint.loaded.mean()
-    pressure = problem.bulk_modulus * lost / problem.grid.thickness.mean()
-    return pressure * problem.grid.surface_areas(problem.grid.nodes[:, -1])
 
 
 def algebraic(problem: LayerProblem) -> np.ndarray:
@@ -107,40 +94,6 @@ def test_newton_matrix_is_the_derivative_of_the_equations_with_contact_and_frict
     assert error[:, 1:-1].max() < 1e-8 * abs(expected).max()
 
 
-def uniaxial_compression(stretch: float, law: InvariantLaw) -> float:
-    """Axial Cauchy stress of the compressible law when the sides are free."""
-
-    def stresses(lateral):
-        big_j = stretch * lateral**2
-        b = np.array([lateral**2, lateral**2, stretch**2]) * big_j ** (-2 / 3)
-        i1 = b.sum()
-        w1, w2 = law.slopes(i1, 0.5 * (i1**2 - (b**2).sum()))
-        t = 2 * (w1 * b + w2 * (i1 * b - b**2))
-        return (t - t.mean()) / big_j + law.bulk_modulus * (big_j - 1)
-
-    lateral = brentq(lambda s: stresses(s)[0], 0.9, 2.0, xtol=1e-15)
-    return stresses(lateral)[2]
-
-
-@pytest.mark.parametrize("ratio", [20.0, 1e4])
-@pytest.mark.parametrize("edge", [0.6, 3.0])
-@pytest.mark.parametrize("law", ["mooney-rivlin", "yeoh"])
-def test_homogeneous_compression_to_half_meets_the_closed_form(ratio, edge, law):
-    law = MooneyRivlin(C10, C01, ratio) if law == "mooney-rivlin" else Yeoh(2.9, -0.1, 0.1, ratio)
-    x = np.array([0.0, 0.1, 0.3, 0.45, 0.7, 0.85, 1.0]) * edge
-    pixels = np.linspace(-edge, 2 * edge, 9)
-    problem = LayerProblem(
-        LayerGrid(x, 0.7 * x, graded_depths(3, 1.5), np.full((7, 7), 0.5)),
-        Imprint(pixels, pixels, np.full((9, 9), 0.5), np.full((9, 9), 0.25)),
-        law,
-        (0.0, 0.0),
-    )
-    solution = solve(problem, guess, solver="direct", tolerances=EXACT)
-    surface = (problem.grid.nodes + solution.state.u)[:, -1]
-    stress = -solution.state.normal_force[1] / area_vectors(surface)[2]
-    assert_allclose(stress, uniaxial_compression(0.5, law), rtol=1e-6)
-
-
 def test_error_of_a_layer_of_sloping_thickness_falls_at_second_order():
     forces = []
     for n in (2, 4, 8):
@@ -160,62 +113,6 @@ def test_error_of_a_layer_of_sloping_thickness_falls_at_second_order():
     coarse, fine = np.diff(forces)
     assert 3.5 < coarse / fine < 4.5
     assert abs(fine) < 0.005 * forces[-1]
-
-
-def wavy(nodes: int, depth: int, amplitude: float, wavelength: float = 1.0):
-    """Layer of thickness 0.4 between rollers, just pressed, and a sinusoidal imprint."""
-    length, thickness, ratio = 1.5 * wavelength, 0.4, 1e4
-    x = np.linspace(0, length, round(length / wavelength * nodes) + 1)
-    px = np.linspace(0, length, 193)
-    shape = amplitude * np.cos(2 * np.pi * px / wavelength)
-    unloaded = np.full((5, 193), thickness)
-    y = np.linspace(0, 0.5, 5)
-    problem = LayerProblem(
-        LayerGrid(x, y[::2], graded_depths(depth), np.full((3, len(x)), thickness)),
-        Imprint(px, y, unloaded, unloaded - 1e-4 * thickness + np.tile(shape, (5, 1))),
-        MooneyRivlin(C10, C01, ratio),
-        (0.0, 0.0),
-        edges="roller",
-    )
-    uniform = Tolerances(force=1e-8, volume=1e-9)
-    solution = solve(problem, compressed, solver="direct", tolerances=uniform, cascade=False)
-    surface = (problem.grid.nodes + solution.state.u)[:, -1]
-    pressure = solution.state.normal_force[1] / area_vectors(surface)[2]
-    return x, pressure[1], thickness
-
-
-def response(nodes: int, depth: int) -> float:
-    """Amplitude of contact pressure over that of the imprint, kPa / mm, at one wavelength."""
-    k, amplitude = 2 * np.pi, 2e-5
-    amplitudes = []
-    for sign in (1, -1):
-        x, pressure, _ = wavy(nodes, depth, sign * amplitude)
-        weight = np.full(len(x), 1.0)
-        weight[[0, -1]] = 0.5
-        amplitudes.append(
-            2 * (weight * pressure * np.cos(k * x)).sum() / weight.sum() / (sign * amplitude)
-        )
-    # a nodal force is the pressure times the hat function of its node, which weakens a wave
-    hat = np.sinc((x[1] - x[0]) * k / (2 * np.pi)) ** 2
-    return -float(np.mean(amplitudes)) / hat
-
-
-def transfer(k: float, h: float) -> float:
-    """Pressure over displacement of an incompressible layer with frictionless faces.
-
-    With the stream function (A sinh kz + B z cosh kz) sin kx, u_z vanishes at z = 0 with the shear
-    traction, and the shear traction at z = h too; then
-    p / u = 2 mu k (sinh kh cosh kh + kh) / sinh^2 kh.
-    """
-    s, c = np.sinh(k * h), np.cosh(k * h)
-    return 2 * MU * k * (s * c + k * h) / s**2
-
-
-def test_transfer_function_of_a_wavy_imprint_at_second_order():
-    exact = transfer(2 * np.pi, 0.4)
-    errors = [abs(response(n, d) / exact - 1) for n, d in ((6, 3), (12, 6))]
-    assert errors[1] < 0.02
-    assert np.log2(errors[0] / errors[1]) > 1.7
 
 
 def relief(seed: int, n: int = 13, size: float = 1.5):

@@ -1,4 +1,4 @@
-"""``optical-palpation reproduce``: the validation page."""
+"""``optical-palpation reproduce``: the validation and the verification page."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from optical_palpation.cli.progress import ProgressDisplay
 
 def reproduce(
     output: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Folder of page and pictures; made if need be.")
+        Path, typer.Option(metavar="FOLDER", help="Folder of pages and pictures; made if need be.")
     ],
     only: Annotated[
         list[str] | None,
-        typer.Option(metavar="TEXT", help="Part to make; may be repeated. All by default."),
+        typer.Option(metavar="TEXT", help="Page or part to make; may be repeated; else all."),
     ] = None,
     data: Annotated[
         Path | None,
@@ -36,16 +36,17 @@ def reproduce(
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
-    """Make the validation page: the paper's figures and statements, ours, and why they differ.
+    """Make the validation page (the paper's figures and ours) and the verification page.
 
-    Parts that the folder holds already are kept, so that an interrupted run goes on.
+    The second compares the solver with closed forms. Parts that the folder holds already are kept,
+    so that an interrupted run goes on.
     """
     from optical_palpation.errors import ConvergenceError
     from optical_palpation.reproduce import reproduce as make
     from optical_palpation.study import Progress
 
     with ProgressDisplay(quiet) as progress:
-        page, missing = make(
+        pages, missing = make(
             output,
             only=only or (),
             data=data,
@@ -55,7 +56,8 @@ def reproduce(
             tell=lambda part, share, what: progress(Progress(part, share, None, what)),
         )
     if not quiet:
-        print(f"page: {page}")
+        for page in pages:
+            print(f"page: {page}")
     for name, why in missing.items():
         # What was asked for by name, and what should have worked, is a failure of the command.
         if only or isinstance(why, ConvergenceError):

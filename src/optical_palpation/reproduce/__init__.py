@@ -1,5 +1,5 @@
-"""The paper's figures and statements, and other sources, against this software, as a page."""
+"""Pages of evidence: the paper's figures and statements, and the verification of the solver."""
 
-from optical_palpation.reproduce.run import PARTS, reproduce
+from optical_palpation.reproduce.run import PAGES, reproduce
 
-__all__ = ["PARTS", "reproduce"]
+__all__ = ["PAGES", "reproduce"]

@@ -1,38 +1,47 @@
-"""The page: a table and the pictures of every part, in Markdown."""
+"""A page: a table and the pictures of every part, in Markdown."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from optical_palpation.files import replacing
-from optical_palpation.reproduce.record import load_part
+from optical_palpation.reproduce.record import Part, Setting, load_part
 
-PAGE = "index.md"
-_INTRODUCTION = """\
-# Validation
-
-What the paper (Wijesinghe, Sampson and Kennedy, *J. R. Soc. Interface* **14**, 20160878, 2017) and
-other sources say, and what this software finds. This page and its pictures are made by
-
-```text
-optical-palpation reproduce --output FOLDER --data FOLDER_OF_THIRD_PARTY_DATA
-```
-
-Units: mm, kPa, mN; stress negative where the layer is pressed, contact pressure positive.
-"""
 _QUICK = "**Made with `--quick`: the coarsest grids that run at all. The numbers say nothing.**"
 
 
-def write_page(folder: Path, titles: Mapping[str, str], missing: Mapping[str, Exception]) -> Path:
-    """Write the page of the parts that lie in a folder.
+@dataclass(frozen=True)
+class Chapter:
+    """A part of a page: its title, and what makes it."""
+
+    title: str
+    make: Callable[[Setting], Part]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page of the folder, ``NAME.md``; its records and pictures lie in ``NAME/`` beside it.
+
+    ``columns`` heads the five columns of its tables; ``chapters`` are its parts by name, in order.
+    """
+
+    name: str
+    introduction: str
+    columns: tuple[str, str, str, str, str]
+    chapters: Mapping[str, Chapter]
+
+
+def write_page(folder: Path, page: Page, missing: Mapping[str, Exception]) -> Path:
+    """Write a page of the parts that are made.
 
     Parameters
     ----------
     folder
-        Folder of the parts' records and pictures.
-    titles
-        Titles of all parts by name, in the order of the page.
+        Folder of the pages.
+    page
+        Which page.
     missing
         Why a part was not made, by name.
 
@@ -46,32 +55,34 @@ def write_page(folder: Path, titles: Mapping[str, str], missing: Mapping[str, Ex
     OutputError
         If it cannot be written.
     """
-    parts = {name: load_part(name, folder) for name in titles}
-    blocks = [_INTRODUCTION]
+    parts = {name: load_part(name, folder / page.name) for name in page.chapters}
+    blocks = [page.introduction]
     if any(part and part["quick"] for part in parts.values()):
         blocks.append(_QUICK)
-    for name, title in titles.items():
+    for name, chapter in page.chapters.items():
         part = parts[name]
-        blocks.append(f"## {title}")
+        blocks.append(f"## {chapter.title}")
         if part is None:
             blocks.append(f"Not made: {missing.get(name, f'choose it by `--only {name}`')}.")
             continue
         if part["quick"]:
             blocks.append(_QUICK)
-        blocks += [part["text"], _table(part["rows"])]
-        blocks += [f"![{caption}]({file})\n\n*{caption}*" for file, caption in part["pictures"]]
+        blocks += [part["text"], _table(page.columns, part["rows"])]
+        blocks += [
+            f"![{caption}]({page.name}/{file})\n\n*{caption}*" for file, caption in part["pictures"]
+        ]
         blocks.append(
             f"*`{name}`, version {part['software_version']}, {part['seconds']:.0f} s on "
             f"{part['processors']} processors ({part['processor']}).*"
         )
-    path = folder / PAGE
+    path = folder / f"{page.name}.md"
     with replacing(path) as temporary:
         temporary.write_text("\n\n".join(block.strip() for block in blocks) + "\n", "utf-8")
     return path
 
 
-def _table(rows: list[dict[str, str]]) -> str:
-    lines = ["| where | what | there | here | why |", "| --- | --- | --- | --- | --- |"]
+def _table(columns: tuple[str, ...], rows: list[dict[str, str]]) -> str:
+    lines = [f"| {' | '.join(columns)} |", "| --- | --- | --- | --- | --- |"]
     for row in rows:
         cells = (row[key] for key in ("where", "statement", "reference", "ours", "why"))
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")

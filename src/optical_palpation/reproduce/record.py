@@ -1,4 +1,4 @@
-"""What a part of the validation says, and its file in the folder of the page."""
+"""What a part of a page says, and its file in the folder of the page."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Making the parts, skipping what is done, and the page of them all."""
+"""Making the parts, skipping what is done, and the pages of them all."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from optical_palpation.errors import ConvergenceError, InputError, OutputError
@@ -11,33 +11,43 @@ from optical_palpation.reproduce.experiments import columns, cube, sinusoid
 from optical_palpation.reproduce.friction import friction
 from optical_palpation.reproduce.layers import coin, independent_code
 from optical_palpation.reproduce.material import material, phase
-from optical_palpation.reproduce.page import write_page
-from optical_palpation.reproduce.record import Part, Setting, load_part, run_part
+from optical_palpation.reproduce.page import Chapter, Page, write_page
+from optical_palpation.reproduce.record import Setting, load_part, run_part
 from optical_palpation.reproduce.resolution import resolution
 from optical_palpation.reproduce.total_stress import total_stress
+from optical_palpation.reproduce.verification import VERIFICATION
 from optical_palpation.runtime import software_version
 
+_VALIDATION = Page(
+    name="validation",
+    introduction="""\
+# Validation
 
-@dataclass(frozen=True)
-class _Chapter:
-    title: str
-    make: Callable[[Setting], Part]
+What the paper (Wijesinghe, Sampson and Kennedy, *J. R. Soc. Interface* **14**, 20160878, 2017) and
+other sources say, and what this software finds. This page and its pictures are made by
 
+```text
+optical-palpation reproduce --only validation --output FOLDER --data FOLDER_OF_THIRD_PARTY_DATA
+```
 
-_CHAPTERS = {
-    "material": _Chapter("The layer's material", material),
-    "friction": _Chapter("Friction from displacement profiles", friction),
-    "total-stress": _Chapter("Total stress of a flat layer", total_stress),
-    "sinusoid": _Chapter("Virtual experiment: five ridges", sinusoid),
-    "columns": _Chapter("Virtual experiment: a soft and a stiff column", columns),
-    "cube": _Chapter("Virtual experiment: a stiff cube", cube),
-    "resolution": _Chapter("Lateral resolution", resolution),
-    "coin": _Chapter("A coin", coin),
-    "independent-code": _Chapter("An independent code", independent_code),
-    "phase": _Chapter("Strain from phase", phase),
-}
-#: Names of the parts, in the order of the page.
-PARTS = tuple(_CHAPTERS)
+Units: mm, kPa, mN; stress negative where the layer is pressed, contact pressure positive.
+""",
+    columns=("where", "what", "there", "here", "why"),
+    chapters={
+        "material": Chapter("The layer's material", material),
+        "friction": Chapter("Friction from displacement profiles", friction),
+        "total-stress": Chapter("Total stress of a flat layer", total_stress),
+        "sinusoid": Chapter("Virtual experiment: five ridges", sinusoid),
+        "columns": Chapter("Virtual experiment: a soft and a stiff column", columns),
+        "cube": Chapter("Virtual experiment: a stiff cube", cube),
+        "resolution": Chapter("Lateral resolution", resolution),
+        "coin": Chapter("A coin", coin),
+        "independent-code": Chapter("An independent code", independent_code),
+        "phase": Chapter("Strain from phase", phase),
+    },
+)
+#: The pages and the parts of each, in order.
+PAGES = (_VALIDATION, VERIFICATION)
 
 
 def reproduce(
@@ -49,16 +59,18 @@ def reproduce(
     again: bool = False,
     threads: int | None = None,
     tell: Callable[[str, float, str], None] | None = None,
-) -> tuple[Path, dict[str, InputError | ConvergenceError]]:
-    """Make the validation page, or the parts of it that are not made yet.
+) -> tuple[list[Path], dict[str, InputError | ConvergenceError]]:
+    """Make the pages, or the parts of them that are not made yet.
 
     Parameters
     ----------
     folder
-        Where page, pictures and the parts' records go; made if need be. Parts that are there
-        already, made by this version and with the same `quick`, are kept.
+        Where the pages go, and beside each, in a folder of its name, its pictures and its parts'
+        records; made if need be. Parts that are there already, made by this version and with the
+        same `quick`, are kept.
     only
-        Names of the parts to make; all by default. The page shows the others as they are.
+        Names of the pages and parts to make; all by default. A page shows its other parts as they
+        are.
     data
         Folder of third-party data; without it the parts that need them are left out.
     quick
@@ -72,46 +84,61 @@ def reproduce(
 
     Returns
     -------
-    page : pathlib.Path
+    pages : list of pathlib.Path
+        The pages on which there is something new or asked for.
     missing : dict
         Why parts that were asked for could not be made, by name.
 
     Raises
     ------
     InputError
-        If there is no such part, or no such folder of data.
+        If there is no such page or part, or no such folder of data.
     OutputError
         If the folder cannot be written.
     """
-    if unknown := [name for name in only if name not in _CHAPTERS]:
-        raise InputError(f"no part {', '.join(unknown)}; the parts are {', '.join(PARTS)}")
+    names = {page.name: tuple(page.chapters) for page in PAGES}
+    known_names = {*names, *(name for parts in names.values() for name in parts)}
+    if unknown := [name for name in only if name not in known_names]:
+        raise InputError(
+            f"no part {', '.join(unknown)}; the pages and their parts are "
+            + "; ".join(f"{page}: {', '.join(parts)}" for page, parts in names.items())
+        )
     if data is not None and not Path(data).is_dir():
         raise InputError(f"{data}: there is no such folder of third-party data")
     folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(f"{folder}: the folder cannot be made ({reason})") from error
-    titles = {name: chapter.title for name, chapter in _CHAPTERS.items()}
+    written: list[Path] = []
     missing: dict[str, InputError | ConvergenceError] = {}
-    for name in only or PARTS:
-        known = load_part(name, folder)
-        current = known is not None and (
-            known["quick"] == quick and known["software_version"] == software_version()
-        )
-        if current and not again:
+    for page in PAGES:
+        wanted = [name for name in page.chapters if not only or name in only or page.name in only]
+        if not wanted:
             continue
-
-        def say(share: float, what: str, name: str = name) -> None:
-            if tell:
-                tell(name, share, what)
-
-        setting = Setting(folder, quick, Path(data) if data else None, say, threads)
-        say(0.0, "starts")
         try:
-            run_part(name, _CHAPTERS[name].make, setting)
-        except (InputError, ConvergenceError) as failure:
-            missing[name] = failure
-        write_page(folder, titles, missing)  # as far as it goes, should the rest be interrupted
-    return write_page(folder, titles, missing), missing
+            (folder / page.name).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            reason = error.strerror or error
+            raise OutputError(f"{folder}: the folder cannot be made ({reason})") from error
+        for name in wanted:
+            known = load_part(name, folder / page.name)
+            current = known is not None and (
+                known["quick"] == quick and known["software_version"] == software_version()
+            )
+            if again or not current:
+                setting = Setting(
+                    folder / page.name,
+                    quick,
+                    Path(data) if data else None,
+                    partial(tell or _silent, name),
+                    threads,
+                )
+                setting.tell(0.0, "starts")
+                try:
+                    run_part(name, page.chapters[name].make, setting)
+                except (InputError, ConvergenceError) as failure:
+                    missing[name] = failure
+            path = write_page(folder, page, missing)  # should the rest be interrupted
+        written.append(path)
+    return written, missing
+
+
+def _silent(part: str, share: float, what: str) -> None:
+    """Report nothing."""

@@ -1,0 +1,33 @@
+"""The verification page: the solver against closed forms."""
+
+from optical_palpation.reproduce.page import Chapter, Page
+from optical_palpation.reproduce.verification.homogeneous import compression, manufactured
+from optical_palpation.reproduce.verification.not_yet import not_yet
+from optical_palpation.reproduce.verification.waves import waves
+
+VERIFICATION = Page(
+    name="verification",
+    introduction="""\
+# Verification
+
+The solver against closed forms. Errors are those of our numbers, from a
+coarse to a fine mesh. This page and its pictures are made by
+
+```text
+optical-palpation reproduce --only verification --output docs
+```
+
+and `tests/test_verification.py` checks each part on small meshes. Units: mm, kPa, mN. Unless said
+otherwise the layer has $C_{10}$ = 2.23 kPa, $C_{01}$ = 0.703 kPa ($\\mu$ = 5.866 kPa) and
+$K/\\mu$ = 10⁴; $h$ is its thickness, $E = 3 \\mu$.
+""",
+    columns=("source", "quantity", "exact", "ours, coarse to fine (error)", "remarks"),
+    chapters={
+        "compression": Chapter("Homogeneous compression: a patch test of contact", compression),
+        "manufactured": Chapter("Manufactured solution at finite strain", manufactured),
+        "waves": Chapter("Transfer function, sliding and stuck", waves),
+        "not-yet": Chapter("Not yet", not_yet),
+    },
+)
+
+__all__ = ["VERIFICATION"]
