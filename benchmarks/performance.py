@@ -150,7 +150,7 @@ def peak_memory() -> int:
 
 def run_case(name: str, folder: Path, threads: int | None) -> dict:
     """Measure one case in this process, kernels compiled."""
-    from optical_palpation.mechanics.krylov import LONGEST
+    from optical_palpation.mechanics.krylov import longest
     from optical_palpation.palpation.memory import predicted_memory
 
     case = CASES[name]
@@ -178,17 +178,18 @@ def run_case(name: str, folder: Path, threads: int | None) -> dict:
         **{v: result.maps[v].values for v in ("contact_pressure", "x", "y")},
     )
     steps = json.loads(result.maps.attrs["convergence"])
+    unknowns = 3 * (nx + 1) * (ny + 1) * (nz + 1) + elements
     return {
         "elements": elements,
         "grid": [nx, ny, nz],
-        "unknowns": 3 * (nx + 1) * (ny + 1) * (nz + 1) + elements,
+        "unknowns": unknowns,
         "seconds": plain or watched,
         "watched_seconds": watched,
         "newton": result.maps.attrs["newton_iterations"],
         "newton_finest": sum(s["newton"] for s in steps if s["elements"] == elements),
         "krylov": probe.krylov,
         "krylov_largest": max(probe.krylov_each, default=0),
-        "krylov_ended": sum(k >= LONGEST for k in probe.krylov_each),
+        "krylov_ended": sum(k >= longest(unknowns) for k in probe.krylov_each),
         "peak_bytes": peak or peak_memory(),
         "predicted_bytes": held + predicted_memory((nz, ny, nx), case.solver),
         "shares": {phase: s / watched for phase, s in probe.seconds.items()},

@@ -13,7 +13,7 @@ from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.cascade import solve
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths, node_positions
 from optical_palpation.mechanics.imprint import Imprint
-from optical_palpation.mechanics.newton import Tolerances
+from optical_palpation.mechanics.iteration import Tolerances
 from optical_palpation.mechanics.path import StepControl
 from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.present.deck import read_deck_result, write_deck

@@ -15,7 +15,8 @@ from optical_palpation.mechanics.contact import area_vectors
 from optical_palpation.mechanics.direct import DirectSolver, sparse_matrix
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
-from optical_palpation.mechanics.newton import Tolerances, balance
+from optical_palpation.mechanics.iteration import Tolerances
+from optical_palpation.mechanics.newton import balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.system import assemble
 from optical_palpation.palpation import computational_stress

@@ -19,7 +19,8 @@ from optical_palpation.mechanics.cascade import LoadNotReached, make_solver, sol
 from optical_palpation.mechanics.contact import remember_slip
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
-from optical_palpation.mechanics.newton import NotConverged, Tolerances, equilibrate
+from optical_palpation.mechanics.iteration import NotConverged, Tolerances
+from optical_palpation.mechanics.newton import equilibrate
 from optical_palpation.mechanics.problem import SAMPLE, LayerProblem
 from optical_palpation.runtime import software_version
 from optical_palpation.volume import hdf5
@@ -127,7 +128,9 @@ def slab_profile(
         state.load = 1.0 + step / compression
         for share in _STEP_SLIPS:
             fine = replace(problem, slip_length=share * step)
-            equilibrate(fine, state, make_solver(fine, "multigrid"), Tolerances(iterations=60))
+            linear = make_solver(fine, "multigrid")
+            now, _ = equilibrate(fine, state, linear, Tolerances(iterations=60))
+            state = now.state
     except (LoadNotReached, NotConverged) as failure:
         raise ConvergenceError(
             f"flat layer with friction {friction:g} at the window, compressed by "

@@ -16,14 +16,18 @@ from numpy.typing import NDArray
 
 from .direct import DirectSolver
 from .grid import LayerGrid, edge_width, node_positions
+from .iteration import NotConverged, Tolerances, relaxed
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
-from .newton import Balance, LinearSolver, NotConverged, Tolerances, equilibrate, on_the_way
-from .path import LoadNotReached, StepControl, follow
+from .newton import Balance, LinearSolver, equilibrate
+from .path import LoadNotReached, StepControl, follow, settle
 from .problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
 
+#: How much further from balance than the last equilibrium others may be: smaller loads or coarser
+#: grids, and smaller loads on coarser grids.
+_ON_THE_WAY, _COARSE = 100.0, 1000.0
 #: The load is followed on a grid of at most this share of the finest one's elements: it must not
 #: take longer than the finest. Below the first number that is not worth while; beyond the second,
 #: where a path begins does not change the result.
@@ -136,18 +140,34 @@ def solve(
     tolerances = tolerances or Tolerances(force=1e-5, volume=1e-6)
     record: list[tuple[int, float, int]] = []
 
+    intermediate = relaxed(tolerances, _ON_THE_WAY)
+    coarse = relaxed(tolerances, _COARSE)
+
     def wanted(level: LayerProblem) -> Tolerances:
-        return tolerances if level is problem else on_the_way(tolerances, level)
+        return tolerances if level is problem else intermediate
 
     def balanced(level: LayerProblem, state: LayerState) -> LayerState | None:
         """Bring a state near full load into equilibrium; None where it is too far away."""
         report = partial(on_iteration, level, 1.0) if on_iteration else None
         try:
             linear = make_solver(level, solver)
-            count = equilibrate(level, state, linear, wanted(level), report)
+            now, count = equilibrate(level, state, linear, wanted(level), report)
         except NotConverged:
             return None
         record.append((level.grid.n_elements, 1.0, count))
+        return now.state
+
+    def settled(level: LayerProblem, state: LayerState) -> LayerState | None:
+        """Let a loaded layer come to rest; None where it does not."""
+        report = partial(on_iteration, level) if on_iteration else None
+        linear = make_solver(level, solver)
+        try:
+            state, steps = settle(
+                level, linear, wanted(level), intermediate, state, control, report
+            )
+        except LoadNotReached:
+            return None
+        record.extend((level.grid.n_elements, *step) for step in steps)
         return state
 
     state = balanced(problem, start.copy()) if start is not None else None
@@ -157,14 +177,18 @@ def solve(
     for n in reversed(range(len(levels))):
         level = levels[n]
         if state is not None:
-            state = balanced(level, prolong(state, levels[n + 1], level))
+            carried = prolong(state, levels[n + 1], level)
+            state = balanced(level, carried.copy()) or settled(level, carried)
         if state is None:  # the load is followed on this grid
             rest = LayerState.unloaded(level.grid)
             full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
             report = partial(on_iteration, level) if on_iteration else None
             linear = make_solver(level, solver)
             try:
-                state, steps = follow(level, linear, wanted(level), rest, full, control, report)
+                small = intermediate if level is problem else coarse
+                state, steps = follow(
+                    level, linear, wanted(level), small, rest, full, control, report
+                )
             except LoadNotReached:
                 if level is problem:
                     raise
@@ -179,7 +203,7 @@ def make_solver(problem: LayerProblem, name: str) -> LinearSolver:
     if name == "direct":
         penalty = problem.shear_modulus if problem.curved_sides else problem.bulk_modulus
         return DirectSolver(problem.grid.node_shape, penalty)
-    return MultigridSolver(problem.grid, problem.shear_modulus)
+    return MultigridSolver(problem.grid, problem.shear_modulus, problem.edges == "free")
 
 
 __all__ = ["LoadNotReached", "Solution", "make_solver", "solve"]

@@ -81,8 +81,9 @@ class ContactLinearisation:
 
     All arrays end in ``(ny + 1, nx + 1)`` and begin with the face. ``row`` and ``column`` (x, y)
     are the factors with which the vertical equation and the vertical displacement enter the lateral
-    ones; ``block`` (xx, xy, yy) the lateral stiffness of friction; ``turning`` (ny + 1, nx + 1, 9,
-    2, 3; imprint only) the lateral stiffness by which contact forces turn with the element faces,
+    ones; ``traction`` (x, y) friction of a bound that is given, mN; ``block`` (xx, xy, yy) the
+    lateral stiffness of friction; ``turning`` (ny + 1, nx + 1, 9, 2, 3; imprint only)
+    the lateral stiffness by which contact forces turn with the element faces,
     over the neighbours 3 (dy + 1) + (dx + 1); ``spring`` the stiffness of the
     contact coordinate d, ``load`` the right-hand side that belongs to it; where ``rigid``, d is
     prescribed as ``step`` instead, elsewhere ``step`` is what d is sought from. ``violation`` is
@@ -93,6 +94,7 @@ class ContactLinearisation:
     violation: Array
     row: Array
     column: Array
+    traction: Array
     block: Array
     turning: Array
     spring: Array
@@ -158,10 +160,13 @@ def linearise(
     state: LayerState,
     force: Array,
     direction: Array | None = None,
+    bound: Array | None = None,
 ) -> ContactLinearisation:
     """Linearise contact and friction at ``state`` with the internal nodal ``force``.
 
-    ``direction`` is the unknown s, by default the one that belongs to the slip.
+    ``direction`` is the unknown s, by default the one that belongs to the slip. Friction is bounded
+    by the contact forces themselves or, if given, by the normal forces ``bound`` (2, ny + 1,
+    nx + 1), mN.
     """
     nodes = problem.grid.nodes
     bottom = nodes[:, 0] + state.u[:, 0]
@@ -193,7 +198,14 @@ def linearise(
     q = np.sqrt(1 + (w**2).sum(1))
     s = w / q[:, None]
     friction = np.asarray(problem.friction)[:, None, None]
-    carries = (reaction > 0)[:, None] * friction[:, None] * s
+    if bound is None:
+        carries = (reaction > 0)[:, None] * friction[:, None] * s
+        traction = np.zeros_like(s)
+        stiff = friction * np.maximum(reaction, normal) / problem.slip_length / q
+    else:
+        carries = np.zeros_like(s)
+        traction = (friction * bound)[:, None] * s
+        stiff = friction * bound / problem.slip_length / q
     row = carries.copy()
     area = area_vectors(top)
     face_slope = -area[:2] / area[2]
@@ -201,7 +213,6 @@ def linearise(
     column = np.zeros_like(row)
     column[SAMPLE] = hx, hy
 
-    stiff = friction * np.maximum(reaction, normal) / problem.slip_length / q
     d = s if direction is None else direction
     mixed = -0.5 * (s[:, 0] * d[:, 1] + s[:, 1] * d[:, 0])
     block = np.stack(
@@ -214,6 +225,7 @@ def linearise(
         violation,
         row,
         column,
+        traction,
         block,
         turning,
         spring,

@@ -3,10 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, Protocol, TypeVar
 
-from .newton import NotConverged, Tolerances
+
+class NotConverged(Exception):
+    """Newton's method failed at this load; carries the reason."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """When a load is reached.
+
+    Attributes
+    ----------
+    force
+        Out-of-balance nodal forces relative to the contact forces (both as 2-norms).
+    volume
+        Root mean square violation of J - 1 = p / K.
+    iterations
+        Newton iterations allowed at one load.
+    linear
+        Relative residual to which linear systems are solved (inexact Newton).
+    """
+
+    force: float = 1e-6
+    volume: float = 1e-7
+    iterations: int = 25
+    linear: float = 1e-2
+
+
+def relaxed(tolerances: Tolerances, factor: float) -> Tolerances:
+    """Return tolerances looser by a factor."""
+    return replace(tolerances, force=factor * tolerances.force, volume=factor * tolerances.volume)
 
 
 class Iterate(Protocol):

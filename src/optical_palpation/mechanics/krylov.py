@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .grid import LayerGrid
 from .multigrid import Hierarchy
-from .schur import SchurComplement
+from .schur import Lubrication, SchurComplement
 from .stencil import Stencil, halo_zeros, interior, store, subtract_product
 from .system import NewtonSystem
 
@@ -22,10 +22,9 @@ Vector = NDArray[np.floating]
 
 #: Penalty of the displacement block in units of the shear modulus.
 _GAMMA = 3.0
-#: Krylov iterations at which a linear solve ends whatever it has reached. Only a layer that snaps
-#: wants more, its tangent being indefinite: a better solution of that brings Newton's method no
-#: nearer.
-LONGEST = 10
+#: Krylov iterations at which a linear solve ends whatever it has reached: many where they cost
+#: little, on the coarse grids on which the load is followed.
+_LONGEST, _SMALL = (30, 100), 200_000
 #: What a vector keeps when the directions found before are taken out of it, below which rounding
 #: is too much of that and they are taken out again. A layer that snaps has a mode that the
 #: preconditioner blows up by thousands: every iteration would find it anew.
@@ -41,11 +40,16 @@ class MultigridSolver:
 
     dtype: ClassVar[type[np.floating]] = np.float32
 
-    def __init__(self, grid: LayerGrid, shear_modulus: float) -> None:
+    def __init__(self, grid: LayerGrid, shear_modulus: float, free_sides: bool) -> None:
         self.gamma = _GAMMA * shear_modulus
         self.shear_modulus = shear_modulus
-        self.hierarchy = Hierarchy((grid.depth * float(np.median(grid.thickness)), grid.y, grid.x))
+        depth = grid.depth * float(np.median(grid.thickness))
+        self.hierarchy = Hierarchy((depth, grid.y, grid.x))
         self.schur = SchurComplement(grid.shape, grid.spacing, shear_modulus, self.gamma)
+        self.lubrication = Lubrication(depth, grid.y, grid.x, free_sides, shear_modulus)
+        self.areas = grid.surface_areas(grid.nodes[:, -1])
+        #: Stiffness of a contact above which it counts as closed, mN / mm.
+        self.springs = self.areas * shear_modulus / grid.spacing[0]
 
     @property
     def stencil(self) -> Stencil:
@@ -70,6 +74,10 @@ class MultigridSolver:
         compressibility = volume / f32(system.bulk_modulus)
         weight = f32(self.shear_modulus + system.gamma) / np.cbrt(volume)
         self.schur.prepare(volume, system.bulk_modulus, system.flow is not None)
+        contact = system.contact
+        stiffness = _of_elements(contact.block[:, [2, 0]] / self.areas)
+        touching = _of_elements(np.where(contact.rigid, 1.0, contact.spring > self.springs))
+        self.lubrication.prepare(stiffness, touching, system.bulk_modulus)
         shape = system.rhs.shape[1:]
         x, b, r = halo_zeros(shape), halo_zeros(shape), halo_zeros(shape)
         inside, pushed, left = (interior(v, shape) for v in (x, b, r))
@@ -95,6 +103,9 @@ class MultigridSolver:
         inside[:] = free * system.pressure_force(np.ones_like(volume))
         uniform = self.hierarchy.compliance(x) + float(compressibility.sum())
         total = float(volume.sum())
+        # what lubrication says of that mode is not counted twice
+        held = float((volume * self.lubrication.solve(volume)).sum()) / total
+        rest = max(0.0, 1 / uniform - held / total)
 
         def precondition(v: Vector) -> Vector:
             r_u, r_p = split(v)
@@ -102,16 +113,28 @@ class MultigridSolver:
             out_u, out_p = split(out)
             r_p = r_p / weight
             mean = float(r_p.sum(dtype=np.float64))
-            out_p[:] = -self.schur.solve(r_p - volume * f32(mean / total)) - f32(mean / uniform)
+            out_p[:] = -self.schur.solve(r_p - volume * f32(mean / total)) - f32(mean * rest)
+            out_p -= self.lubrication.solve(r_p)
             pressure = out_p - penalty * system.compression(out_p)
             inside[:] = free * (r_u - system.pressure_force(pressure))
             out_u[:] = interior(self.hierarchy.cycle(x), shape)
             return out
 
         rhs = np.concatenate([system.rhs.ravel(), (weight * system.volume_rhs).ravel()])
-        solution, iterations = gmres(operator, precondition, rhs, tolerance, LONGEST)
+        solution, iterations = gmres(operator, precondition, rhs, tolerance, longest(rhs.size))
         u, p = split(solution)
         return system.with_prescribed(u), p, iterations
+
+
+def longest(unknowns: int) -> int:
+    """Krylov iterations at which a linear solve ends."""
+    return _LONGEST[unknowns <= _SMALL]
+
+
+def _of_elements(field: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of the four nodes of each face, over the last two axes."""
+    rows = field[..., 1:, :] + field[..., :-1, :]
+    return 0.25 * (rows[..., 1:] + rows[..., :-1])
 
 
 def gmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):

@@ -1,29 +1,91 @@
-"""Following the load path from the unloaded layer, with automatic step control."""
+"""Following the load path from the unloaded layer, with automatic step control.
+
+Loads are increased step by step, each in equilibrium by Newton's method (``follow``). Where the
+layer snaps, rolls or slides there is no equilibrium next to the last one, however small the step:
+the layer then moves as if in honey until it is at rest (``settle``).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .contact import remember_slip
-from .newton import Balance, LinearSolver, NotConverged, Tolerances, equilibrate, on_the_way
+from .iteration import NotConverged, Tolerances
+from .newton import Balance, Drag, LinearSolver, balance, equilibrate
 from .problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
+Report = Callable[[float, int, Balance, int], None]
+
+#: Newton iterations in which a load path must arrive, and a layer that is carried over to another
+#: grid come to rest; after that its load is followed on that grid.
+_FOLLOWED, _CARRIED = 400, 100
+#: Increment of the load below which drag takes over.
+_SNAP = 0.02
+#: Viscosity in shear moduli per thickness squared: at first, the least and the most. It is halved
+#: after an easy step (a quarter of it is left once the layer is fully loaded), and four times as
+#: large, with half the increment, after a failure.
+_VISCOSITY, _LEAST, _MOST = 100.0, 0.01, 1e5
+#: Least increment of the load against drag.
+_CREEP = 1e-5
+#: Drag, as a share of the contact forces, below which the layer is as good as at rest: fully
+#: loaded, and on the way there.
+_REST = (0.03, 0.01)
+#: Steps in which a fully loaded layer must come to rest.
+_HELD = 60
 
 
 @dataclass(frozen=True)
 class StepControl:
-    """Load increments, as fractions of the full load."""
+    """Load increments, as fractions of the full load.
+
+    A load reached in at most ``easy`` Newton iterations lets the next increment grow. Where the
+    increment falls below ``smallest`` there is taken to be no equilibrium near the last one.
+    """
 
     first: float = 0.1
     largest: float = 0.3
     smallest: float = 1e-3
-    #: A load reached in fewer Newton iterations lets the next increment grow.
     easy: int = 6
+
+
+@dataclass
+class Path:
+    """How far a load path has come, and its record of (load, Newton iterations).
+
+    ``before`` is the state before the last one, ``spent`` counts all Newton iterations, those of
+    loads that were not reached too, of ``allowed`` ones.
+    """
+
+    state: LayerState
+    before: LayerState
+    report: Report | None = None
+    allowed: int = _FOLLOWED
+    record: list[tuple[float, int]] = field(default_factory=list)
+    spent: int = 0
+
+    def counting(self, load: float) -> Callable[[int, Balance, int], None]:
+        """Return a function that counts and reports the iterations at a load."""
+
+        def count(iteration: int, now: Balance, krylov: int) -> None:
+            self.spent += iteration > 0
+            if self.report:
+                self.report(load, iteration, now, krylov)
+
+        return count
+
+    def advance(self, state: LayerState, iterations: int) -> None:
+        """Accept a state in equilibrium."""
+        self.record.append((state.load, iterations))
+        self.before, self.state = self.state, state
+
+    def stopped(self, reason: object) -> LoadNotReached:
+        """Return the error that says where the path ended, and why."""
+        return LoadNotReached(self.state.load, str(reason))
 
 
 class LoadNotReached(Exception):
@@ -51,17 +113,20 @@ def follow(
     problem: LayerProblem,
     solver: LinearSolver,
     tolerances: Tolerances,
+    intermediate: Tolerances,
     start: LayerState,
     full: LayerState,
     control: StepControl | None = None,
-    on_iteration: Callable[[float, int, Balance, int], None] | None = None,
+    report: Report | None = None,
 ) -> tuple[LayerState, list[tuple[float, int]]]:
     """Load the layer fully, from ``start`` on.
 
     Parameters
     ----------
+    tolerances, intermediate
+        When the full load is reached, and a smaller one.
     start
-        A layer in equilibrium, its friction memory laid.
+        A layer in equilibrium, its reference slip laid.
     full
         An estimate of the fully loaded layer, towards which the first step is begun.
 
@@ -75,30 +140,110 @@ def follow(
     LoadNotReached
     """
     control = control or StepControl()
-    state = before = start
+    path = Path(start, start, report)
     step = control.first
-    record: list[tuple[float, int]] = []
-    while state.load < 1.0:
-        steps = np.ceil((1.0 - state.load) / step - 1e-9)  # equal ones, not a small last one
-        load = 1.0 if steps == 1 else state.load + (1.0 - state.load) / steps
-        trial = extrapolated(state, full if before is state else before, load)
-
-        def report(iteration: int, now: Balance, krylov: int, load: float = load) -> None:
-            if on_iteration:
-                on_iteration(load, iteration, now, krylov)
-
+    while path.state.load < 1.0:
+        steps = np.ceil((1.0 - path.state.load) / step - 1e-9)  # equal ones, not a small last one
+        load = 1.0 if steps == 1 else path.state.load + (1.0 - path.state.load) / steps
+        other = full if path.before is path.state else path.before
+        trial = extrapolated(path.state, other, load)
+        wanted = tolerances if load == 1.0 else intermediate
         try:
-            wanted = tolerances if load == 1.0 else on_the_way(tolerances, problem)
-            iterations = equilibrate(problem, trial, solver, wanted, report)
+            now, count = equilibrate(problem, trial, solver, wanted, path.counting(load))
         except NotConverged as failure:
-            step = 0.5 * (load - state.load)
-            if step < control.smallest:
-                raise LoadNotReached(state.load, str(failure)) from None
+            step = 0.5 * (load - path.state.load)
+            if path.spent > path.allowed:
+                raise path.stopped(failure) from None
+            if step < _SNAP:
+                _settle(problem, solver, tolerances, intermediate, path, step, control.easy)
+                step = _SNAP
             continue
-        record.append((load, iterations))
-        if iterations <= control.easy:
-            step = min(control.largest, 1.5 * step)
         if load < 1.0:
-            remember_slip(problem, trial)
-        before, state = state, trial
-    return state, record
+            remember_slip(problem, now.state)
+        path.advance(now.state, count)
+        if count <= control.easy:
+            step = min(control.largest, 1.5 * step)
+    return path.state, path.record
+
+
+def settle(
+    problem: LayerProblem,
+    solver: LinearSolver,
+    tolerances: Tolerances,
+    intermediate: Tolerances,
+    start: LayerState,
+    control: StepControl | None = None,
+    report: Report | None = None,
+) -> tuple[LayerState, list[tuple[float, int]]]:
+    """Let a fully loaded layer that is not in equilibrium come to rest; as ``follow``."""
+    path = Path(start, start, report, _CARRIED)
+    control = control or StepControl()
+    _settle(problem, solver, tolerances, intermediate, path, _SNAP, control.easy)
+    return path.state, path.record
+
+
+def _settle(
+    problem: LayerProblem,
+    solver: LinearSolver,
+    tolerances: Tolerances,
+    intermediate: Tolerances,
+    path: Path,
+    step: float,
+    easy: int,
+) -> None:
+    """Go on along a path against drag: to full load and rest, or to next to no drag before that.
+
+    Friction is bounded by the contact forces before each step (``Drag``). When these no longer
+    change, and nothing moves, the state is one of equilibrium as it stands.
+    """
+    unit = problem.shear_modulus / float(np.median(problem.grid.thickness)) ** 2
+    viscosity, held, wanted = _VISCOSITY, 0, intermediate
+    while True:
+        load = min(1.0, path.state.load + step)
+        drag = Drag(viscosity * unit, path.state)
+        trial = replace(path.state.copy(), load=load)
+        try:
+            now, count = equilibrate(problem, trial, solver, wanted, path.counting(load), drag)
+        except NotConverged as failure:
+            viscosity *= 4.0
+            step *= 0.5
+            if viscosity > _MOST or step < _CREEP or path.spent > path.allowed:
+                raise path.stopped(failure) from None
+            continue
+        force = float(np.linalg.norm(drag.force(problem, now.state.u)))
+        share = force / max(float(np.linalg.norm(now.state.normal_force)), 1e-30)
+        remember_slip(problem, now.state)
+        path.advance(now.state, count)
+        if count <= easy:
+            step *= 1.5
+            viscosity = max(_LEAST, (0.5 if load < 1.0 else 0.25) * viscosity)
+        if load < 1.0:
+            if share < _REST[1]:
+                return
+            continue
+        rest = balance(problem, path.state)
+        if rest.force_error < tolerances.force and rest.volume_error < tolerances.volume:
+            return
+        held += 1
+        if held > _HELD:
+            raise path.stopped(_restless(path, problem))
+        if share < _REST[0] and wanted is intermediate:
+            wanted = tolerances
+            try:
+                now, count = equilibrate(
+                    problem, path.state.copy(), solver, tolerances, path.counting(load)
+                )
+            except NotConverged:
+                continue
+            path.advance(now.state, count)
+            return
+
+
+def _restless(path: Path, problem: LayerProblem) -> str:
+    """Why a fully loaded layer does not come to rest."""
+    step = (path.state.u - path.before.u)[:2]
+    weights = problem.grid.node_volumes / problem.grid.node_volumes.sum()
+    together = float(np.linalg.norm((step * weights).sum((1, 2, 3))))
+    if together > 0.5 * float(np.sqrt((step**2 * weights).sum())):
+        return "nothing holds the layer sideways: it slides from under what presses it"
+    return "the layer does not come to rest"

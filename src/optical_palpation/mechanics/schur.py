@@ -17,8 +17,11 @@ from __future__ import annotations
 import numba as nb
 import numpy as np
 import scipy.fft
+import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
 
+Array = NDArray[np.float64]
 Pressure = NDArray[np.float32]
 
 
@@ -71,3 +74,142 @@ class SchurComplement:
         modes = scipy.fft.dctn(self._scale * change, norm="ortho", workers=threads)
         modes *= self._inverse
         return self._scale * scipy.fft.idctn(modes, norm="ortho", workers=threads)
+
+
+#: Cells of the lubrication equation: no smaller than this many thicknesses, and no more of them
+#: along an axis than the second number.
+_CELL, _CELLS = 0.5, 64
+
+
+class Lubrication:
+    """The Schur complement of pressures that change slowly along a layer that sticks to a surface.
+
+    What such a pressure moves is a thin film: the mean flow over the depth is m grad p, with a
+    mobility m of h^2 / (12 mu) where both faces stick, four times that where one does, and
+
+        S p = -div(m grad p) + open p.
+
+    Cosine modes, which know frictionless planes, take S for 1 / mu: too much by (kh)^2 / 12. At
+    free sides the pressure vanishes. ``open`` is the compliance of a column that touches nothing on
+    one side: it gives way instead of passing the pressure on.
+
+    Parameters
+    ----------
+    depth, y, x
+        Positions of the nodes along each axis, mm; depth in mm of a layer of the median thickness.
+    free_sides
+        Whether the sides are free; else no material passes them.
+    shear_modulus
+        mu, kPa.
+    """
+
+    def __init__(
+        self, depth: Array, y: Array, x: Array, free_sides: bool, shear_modulus: float
+    ) -> None:
+        self.shear_modulus = shear_modulus
+        self.height = float(depth[-1] - depth[0])
+        self.free_sides = free_sides
+        self.axes = [_aggregated(nodes, _CELL * self.height) for nodes in (y, x)]
+        centres = [0.5 * (nodes[1:] + nodes[:-1]) for nodes in (y, x)]
+        #: From cells to elements, along y and x.
+        self.to_elements = [
+            _hats(0.5 * (cells[1:] + cells[:-1]), at)
+            for cells, at in zip(self.axes, centres, strict=True)
+        ]
+
+    def prepare(self, stiffness: Array, touching: Array, bulk_modulus: float) -> None:
+        """Factorise the equation.
+
+        Parameters
+        ----------
+        stiffness
+            Resistance of both faces to sliding along y and x, (face, 2, ny, nx) of the elements,
+            kPa / mm.
+        touching
+            Share of both faces that is in contact, (face, ny, nx).
+        bulk_modulus
+            K, kPa.
+        """
+        wy, wx = (w / w.sum(0) for w in self.to_elements)
+
+        def averaged(field: Array) -> Array:
+            return wy.T @ field @ wx
+
+        mu, h = self.shear_modulus, self.height
+        sizes = np.meshgrid(*(np.diff(axis) for axis in self.axes), indexing="ij")
+        area = sizes[0] * sizes[1]
+        opening = averaged(1 - touching.min(0)) / mu
+        conductance = []
+        for d, axis in enumerate(self.axes):
+            mobility = _mobility(averaged(stiffness[0, d]), averaged(stiffness[1, d]), mu, h)
+            # what nothing holds moves as far as the layer is long
+            mobility = np.minimum(mobility, np.diff(axis).sum() ** 2 / mu)
+            conductance.append(2 * mobility * area / sizes[d] ** 2)
+        matrix = _diffusion(conductance, area * (1 / bulk_modulus + opening), self.free_sides)
+        self._factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+
+    def solve(self, change: NDArray[np.floating]) -> Pressure:
+        """Pressure (ny, nx), the same over the depth, that makes a change of volume."""
+        column = change.sum(0, dtype=np.float64) / self.height
+        wy, wx = self.to_elements
+        cells = wy.T @ column @ wx
+        pressure = self._factors.solve(cells.ravel()).reshape(cells.shape)
+        return (wy @ pressure @ wx.T).astype(np.float32)
+
+
+def _diffusion(conductance: list[Array], source: Array, free_sides: bool) -> sp.csc_matrix:
+    """Matrix of the finite-volume form of -div(m grad p) + open p.
+
+    ``conductance`` are those between the middle of a cell and its faces along y and x, ``source``
+    is open times the cell's area; at free sides the pressure vanishes.
+    """
+    number = np.arange(source.size).reshape(source.shape)
+    diagonal = source.copy()
+    rows, columns, values = [], [], []
+    for d, half in enumerate(conductance):
+        low, high = (
+            np.moveaxis(number, d, 0)[n].ravel() for n in (slice(None, -1), slice(1, None))
+        )
+        flow = 1 / (1 / half.ravel()[low] + 1 / half.ravel()[high])
+        rows += [low, high]
+        columns += [high, low]
+        values += [-flow, -flow]
+        np.add.at(diagonal.ravel(), low, flow)
+        np.add.at(diagonal.ravel(), high, flow)
+        if free_sides:
+            ends = np.moveaxis(number, d, 0)[[0, -1]].ravel()
+            np.add.at(diagonal.ravel(), ends, half.ravel()[ends])
+    rows.append(number.ravel())
+    columns.append(number.ravel())
+    values.append(diagonal.ravel())
+    entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+    return sp.csc_matrix(entries, shape=(source.size, source.size))
+
+
+def _mobility(below: Array, above: Array, mu: float, h: float) -> Array:
+    """Mean flow over the depth per pressure gradient, mm^2 / kPa, between resisting faces."""
+    a, b = below * h / mu, above * h / mu  # as shares of the layer's own stiffness
+    total = a + b + a * b
+    # of mu u'' = p', mu u'(0) = below u(0), mu u'(h) = -above u(h), the mean of -u
+    slip = (1 + b / 2) / np.maximum(total, 1e-12)
+    return h**2 / mu * (slip * (1 + a / 2) - 1 / 6)
+
+
+def _aggregated(nodes: Array, least: float) -> Array:
+    """Bounds of cells that are at least ``least`` wide."""
+    length = float(nodes[-1] - nodes[0])
+    least = max(least, length / _CELLS)
+    chosen = [0]
+    for n in range(1, len(nodes)):
+        if nodes[n] - nodes[chosen[-1]] >= 0.999 * least:
+            chosen.append(n)
+    if chosen[-1] != len(nodes) - 1:
+        if len(chosen) > 2:
+            chosen.pop()
+        chosen.append(len(nodes) - 1)
+    return nodes[chosen]
+
+
+def _hats(cells: Array, at: Array) -> Array:
+    """Linear interpolation from cell centres, level beyond the last; (len(at), len(cells))."""
+    return np.stack([np.interp(at, cells, row) for row in np.eye(len(cells))], axis=1)

@@ -142,6 +142,7 @@ def assemble(
         vertical_rows=np.empty((2, ny1, 27, 3, nx1), solver.dtype),
     )
     system.combine_rows(residual)
+    residual[:2, [0, -1]] += np.moveaxis(contact.traction, 0, 1)
     if problem.edges == "free":
         residual[:, *grid.side_nodes] += contact.sides.force
     residual[2, [0, -1]] -= contact.load

@@ -7,7 +7,7 @@ from math import ceil, floor, log10
 from pathlib import Path
 
 from optical_palpation.errors import InsufficientMemoryError
-from optical_palpation.mechanics.krylov import KEPT, LONGEST
+from optical_palpation.mechanics.krylov import KEPT
 from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.mechanics.stencil import padded
 from optical_palpation.runtime.environment import address_space_limit
@@ -24,6 +24,9 @@ _MATRIX, _FACTORS = 20000.0, 400.0
 _WORK = 6.4e7
 #: Share of the available memory that a run may be predicted to take.
 _USABLE = 0.95
+
+#: Krylov vectors of a linear solution that take memory; most need fewer.
+_DIRECTIONS = 10
 
 
 def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> float:
@@ -47,7 +50,7 @@ def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> 
         return nodes * (_MATRIX + _FACTORS * nz1 * min(nx1, ny1).bit_length())
     rows = nz1 * ny1 * padded(nx1)
     unknowns = 4 * nodes
-    kept = 4.0 * LONGEST * unknowns if unknowns <= KEPT else 0.0
+    kept = 4.0 * _DIRECTIONS * unknowns if unknowns <= KEPT else 0.0
     return rows * _MULTIGRID + rows / nz1 * _FACE + kept + _FIXED
 
 

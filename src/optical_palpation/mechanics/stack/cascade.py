@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..newton import NotConverged
+from ..iteration import NotConverged
 from ..path import LoadNotReached, StepControl
 from .contact import ContactState
 from .linear import StackSolver

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from ..body import ElementForces
 from ..contact import SMOOTHING, friction_direction
-from ..iteration import Direction, iterate
-from ..newton import NotConverged, Tolerances
+from ..iteration import Direction, NotConverged, Tolerances, iterate
 from .contact import ContactTerms, friction_memory, linearise
 from .linear import BodyEquations, StackEquations, StackSolver
 from .problem import LAYER, PLATE, SAMPLE, WINDOW, Stack, State

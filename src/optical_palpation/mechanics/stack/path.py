@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..newton import NotConverged, Tolerances
+from ..iteration import NotConverged, Tolerances
 from ..path import LoadNotReached, StepControl
 from .contact import remembered
 from .linear import StackSolver
