@@ -4,9 +4,11 @@
     python benchmarks/robustness.py --json failures.json  the same; what did not converge to a file
     python benchmarks/robustness.py --replay 17           one of them, with its progress
 
-A map is rough, stepped, tilted or bumpy, may have holes that the sample does not reach, and presses
-the layer by up to half of its thickness; friction is 0 to 0.5 on either face, K/mu 20 to 1e5, the
-unloaded layer flat or not. Each map follows from its number alone.
+A map is rough, stepped, wavy, tilted, flat or bumpy, or shows a sphere, needles or a checkerboard
+of punches; it may have holes that the sample does not reach, and presses the layer by up to half of
+its thickness, a sphere up to 60 %. The layer is 0.1 to 2 mm thick and from a few thicknesses to 50
+wide, up to four times as long as wide, unloaded flat or not. Friction is 0 to 1 on either face,
+K/mu 20 to 1e5, edges free, padded or rollers. Each map follows from its number alone.
 """
 
 from __future__ import annotations
@@ -32,9 +34,19 @@ from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import Progress, StressResult, computational_stress
 from optical_palpation.thickness import thickness_map
 
-RELIEFS = ("rough", "stepped", "tilted", "bumps")
-THICKNESS = 0.5  # mm
-PIXEL = 0.02  # mm
+RELIEFS = (
+    "rough",
+    "stepped",
+    "tilted",
+    "bumps",
+    "wave",
+    "flat",
+    "sphere",
+    "needles",
+    "checkerboard",
+)
+#: Elements of a problem, at the most; free edges are refined beyond that.
+MOST_ELEMENTS = 6000
 
 
 @dataclass(frozen=True)
@@ -50,21 +62,24 @@ class Case:
     bulk_to_shear: float
     edges: str
     uneven: bool
+    thickness: float
     element_size: tuple[float, float, float]
     field: tuple[float, float]
 
     def maps(self) -> tuple[xr.DataArray, xr.DataArray]:
         """Loaded and unloaded thickness, mm."""
         rng = np.random.default_rng([self.number, 1])
-        axes = [np.linspace(0, size, round(size / PIXEL) + 1) for size in self.field]
+        pixel = 0.2 * min(self.element_size[:2])
+        axes = [np.linspace(0, size, round(size / pixel) + 1) for size in self.field]
         x, y = np.meshgrid(*axes)
         pressed = relief(self.relief, x, y, rng)
         if self.holes:
-            pressed = np.minimum(pressed, 1.6 * _blobs(x, y, rng) - 0.3)
+            bounded = np.minimum(pressed, 1.6 * _blobs(x, y, rng) - 0.3)
+            pressed = bounded if bounded.max() > 0.05 else pressed
         if self.edges == "roller":
             # between rollers the layer keeps its volume: what is pressed here must rise elsewhere
             pressed = pressed - pressed.mean()
-        unloaded = np.full_like(x, THICKNESS)
+        unloaded = np.full_like(x, self.thickness)
         if self.uneven:
             unloaded *= 1 + 0.1 * (2 * relief("tilted", x, y, rng) - 1)
         loaded = unloaded * (1 - self.compression * pressed / max(pressed.max(), 1e-9))
@@ -89,32 +104,71 @@ class Case:
 
 def random_case(number: int) -> Case:
     rng = np.random.default_rng([number, 0])
+    kind = str(rng.choice(RELIEFS))
+    edges = str(rng.choice(["free", "padded", "roller"], p=[0.7, 0.15, 0.15]))
+    if kind == "flat" and edges == "roller":  # would have to change its volume
+        edges = "padded"
+    thickness = float(0.1 * 20 ** rng.random())
+    width = thickness * 2.5 * 20 ** rng.random()
+    length = width * 4 ** (rng.random() if rng.random() < 0.4 else 0.0)
+    deep = int(rng.integers(2, 7))
+    across = np.sqrt(MOST_ELEMENTS * rng.uniform(0.15, 1.0) / deep)
+    # no flatter than 1 : 10, no slenderer than 1 : 1.5
+    size = np.clip(np.sqrt(width * length) / across, thickness / deep / 1.5, 10 * thickness / deep)
     return Case(
         number=number,
-        relief=str(rng.choice(RELIEFS)),
-        holes=bool(rng.random() < 0.3),
-        compression=float(rng.uniform(0.03, 0.5)),
-        window_friction=float(rng.choice([0.0, 1.0], p=[0.15, 0.85]) * rng.uniform(0, 0.5)),
-        sample_friction=float(rng.choice([0.0, 1.0], p=[0.15, 0.85]) * rng.uniform(0, 0.5)),
+        relief=kind,
+        holes=bool(rng.random() < 0.25),
+        compression=float(rng.uniform(0.03, 0.6 if kind == "sphere" else 0.5)),
+        window_friction=_friction(rng),
+        sample_friction=_friction(rng),
         bulk_to_shear=float(20 * 5000 ** rng.random()),
-        edges=str(rng.choice(["free", "padded", "roller"], p=[0.7, 0.15, 0.15])),
+        edges=edges,
         uneven=bool(rng.random() < 0.3),
-        element_size=(*rng.uniform(0.08, 0.16, 2).tolist(), THICKNESS / int(rng.integers(2, 5))),
-        field=tuple(rng.uniform(1.2, 2.4, 2).tolist()),
+        thickness=thickness,
+        element_size=(*(size * rng.uniform(0.8, 1.25, 2)).tolist(), thickness / deep),
+        field=(float(width), float(length)),
     )
 
 
+def _friction(rng) -> float:
+    """None in one of eight, else up to 1, small coefficients more often than large ones."""
+    return float(rng.choice([0.0, 1.0], p=[0.125, 0.875]) * rng.random() ** 1.5)
+
+
 def relief(kind: str, x, y, rng):
-    """How much the layer is pressed at (x, y), 0 to about 1."""
+    """How much the layer is pressed at (x, y), 0 to about 1; lengths in those of the field."""
+    size = np.sqrt(x.max() * y.max())
+    pixel = x[0, 1] - x[0, 0]
     if kind == "rough":
-        sigma = rng.uniform(0.04, 0.25) / PIXEL
+        sigma = rng.uniform(0.03, 0.15) * size / pixel
         field = gaussian_filter(rng.standard_normal(x.shape), sigma, mode="reflect")
         return 0.5 + 0.25 * (field - field.mean()) / max(field.std(), 1e-9)
     if kind == "stepped":
         levels = np.floor(3 * (_blobs(x, y, rng) + _plane(x, y, rng))) / 3
-        return gaussian_filter(levels - levels.min(), rng.uniform(0.0, 0.06) / PIXEL)
+        return gaussian_filter(levels - levels.min(), rng.uniform(0.0, 0.03) * size / pixel)
     if kind == "tilted":
         return _plane(x, y, rng)
+    if kind == "wave":
+        count = rng.uniform(1, 6)
+        return 0.5 + 0.5 * np.sin(2 * np.pi * count * _plane(x, y, rng))
+    if kind == "flat":
+        return np.ones_like(x)
+    if kind == "sphere":
+        x0, y0 = rng.uniform(0.3, 0.7) * x.max(), rng.uniform(0.3, 0.7) * y.max()
+        radius = rng.uniform(0.15, 0.6) * size
+        return np.maximum(1 - ((x - x0) ** 2 + (y - y0) ** 2) / radius**2, -0.5)
+    if kind == "needles":
+        height = np.zeros_like(x)
+        for _ in range(int(rng.integers(1, 8))):
+            x0, y0 = rng.uniform(0, x.max()), rng.uniform(0, y.max())
+            width = rng.uniform(0.02, 0.06) * size
+            height = np.maximum(height, np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * width**2)))
+        return height + 0.1
+    if kind == "checkerboard":
+        count = rng.integers(2, 6)
+        waves = np.sin(np.pi * count * x / x.max()) * np.sin(np.pi * count * y / y.max())
+        return 0.5 + 0.5 * np.tanh(waves / rng.uniform(0.1, 0.6))
     return 0.2 + 0.8 * _blobs(x, y, rng)
 
 
@@ -129,7 +183,7 @@ def _blobs(x, y, rng):
     height = np.zeros_like(x)
     for _ in range(int(rng.integers(1, 5))):
         x0, y0 = rng.uniform(0, x.max()), rng.uniform(0, y.max())
-        width = rng.uniform(0.15, 0.5)
+        width = rng.uniform(0.08, 0.3) * np.sqrt(x.max() * y.max())
         height = np.maximum(height, np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / (2 * width**2)))
     return height
 
@@ -202,7 +256,7 @@ def faults(result: StressResult) -> list[str]:
     x, y, z = np.moveaxis(layer["position"].values, -1, 0)
     height = problem.imprint.evaluate(x[-1], y[-1], 1.0)[0]
     depth = max(float((z[-1] - height).max()), float(-z[0].min()))
-    if depth > 0.005 * THICKNESS:
+    if depth > 0.005 * result.maps.attrs["initial_thickness_mm"]:
         found.append(f"the layer enters a rigid surface by {1000 * depth:.2g} um")
     return found
 
@@ -215,9 +269,10 @@ def tables(outcomes: list[Outcome]) -> str:
         "relief": lambda c: c.relief,
         "holes": lambda c: "yes" if c.holes else "no",
         "edges": lambda c: c.edges,
+        "width / thickness": lambda c: _bin(c.field[0] / c.thickness, (5, 10, 20)),
         "compression": lambda c: _bin(c.compression, (0.15, 0.3, 0.4)),
         "greater friction": lambda c: (
-            _bin(friction, (0.2, 0.35))
+            _bin(friction, (0.1, 0.3, 0.6))
             if (friction := max(c.window_friction, c.sample_friction)) > 0
             else "none: may slide"
         ),
