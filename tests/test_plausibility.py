@@ -53,7 +53,7 @@ SPACED = "spacing = { z = 0.0029, y = 0.03, x = 0.03 }"
         (
             "[0.2, 0.2, 0.1]",
             "30",
-            ["[grid]", "element size along x, 30 mm", "quarter of the field"],
+            ["[grid]", "element size along z, 30 mm", "depth"],
         ),
         ("[0.2, 0.2, 0.1]", "[0.2, 0.2, 0.7]", ["element size along z, 0.7 mm", "depth"]),
         ("[0.2, 0.2, 0.1]", "125", ["element size", "in mm"]),

@@ -81,9 +81,9 @@ def check_elements(
     """
     x, y, z = (float(v) for v in np.broadcast_to(np.atleast_1d(size), 3))
     for axis, value, limit, of in (
+        ("z", z, depth, what),
         ("x", x, 0.25 * field[0], "a quarter of the field of view"),
         ("y", y, 0.25 * field[1], "a quarter of the field of view"),
-        ("z", z, depth, what),
     ):
         if value > limit * (1 + 1e-9):
             raise InputError(
