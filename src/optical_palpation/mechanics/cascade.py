@@ -25,6 +25,8 @@ from .problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
 
+#: When a layer is in equilibrium.
+TOLERANCES = Tolerances(force=1e-5, volume=1e-6)
 #: How much further from balance than the last equilibrium others may be: smaller loads or coarser
 #: grids, and smaller loads on coarser grids.
 _ON_THE_WAY, _COARSE = 100.0, 1000.0
@@ -137,7 +139,7 @@ def solve(
     LoadNotReached
         When the full load is not reached on some grid.
     """
-    tolerances = tolerances or Tolerances(force=1e-5, volume=1e-6)
+    tolerances = tolerances or TOLERANCES
     record: list[tuple[int, float, int]] = []
 
     intermediate = relaxed(tolerances, _ON_THE_WAY)

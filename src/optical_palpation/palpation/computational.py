@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law
-from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
+from optical_palpation.mechanics.cascade import TOLERANCES, LoadNotReached, Solution, solve
 from optical_palpation.mechanics.contact import area_vectors, friction_fraction, side_contact
 from optical_palpation.mechanics.grid import (
     RIM,
@@ -27,7 +27,7 @@ from optical_palpation.mechanics.grid import (
     node_positions,
 )
 from optical_palpation.mechanics.imprint import Imprint
-from optical_palpation.mechanics.newton import balance
+from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.memory import check_memory
@@ -186,8 +186,10 @@ def computational_stress(
             "that the thickness map is one a layer of this material can take"
         ) from None
 
-    layer, surface = _layer(solution)
+    now = _checked(solution)
+    layer, surface = _layer(solution, now)
     maps = _maps(solution, surface, loaded, algebraic, sizes)
+    _check_cover(maps["axial_stress"], loaded, solution.state)
     sides = side_contact(solution.problem, solution.state).normal_force.sum(1)
     window_force, sample_force = map(float, solution.state.normal_force.sum((1, 2)) + sides)
     maps.attrs = {
@@ -213,7 +215,15 @@ def computational_stress(
                 for elements, load, count in solution.record
             ]
         ),
-        "volume_change_percent": 100 * float(_volume_change(solution)),
+        "volume_change_percent": 100 * float(now.volume.sum() / now.volume_ref.sum() - 1),
+        "status": "converged",
+        "force_residual": now.force_error,
+        "force_tolerance": TOLERANCES.force,
+        "volume_residual": now.volume_error,
+        "volume_tolerance": TOLERANCES.volume,
+        "smallest_volume_ratio": now.min_jacobian,
+        "sides_force_share": float(sides.max()) / max(window_force, 1e-30),
+        "slip_length_mm": problem.slip_length,
     }
     maps.attrs["unusual"] = json.dumps(unusual(material, maps))
     if motion is not None:
@@ -365,17 +375,50 @@ def _algebraic_forces(level: LayerProblem, material: Law) -> Array:
     return stress * grid.surface_areas(grid.nodes[:, -1])
 
 
-def _volume_change(solution: Solution) -> float:
+def _checked(solution: Solution) -> Balance:
+    """Return the balance of a solution.
+
+    Raises
+    ------
+    ConvergenceError
+        If an element is inside out or a number is not finite.
+    """
     now = balance(solution.problem, solution.state)
-    return now.volume.sum() / now.volume_ref.sum() - 1
+    if not (np.isfinite(solution.state.u).all() and np.isfinite(now.imbalance)):
+        raise ConvergenceError("the solver ended with numbers that are not finite")
+    if now.min_jacobian <= 0:
+        raise ConvergenceError(
+            "the solver ended with elements inside out, as where a free edge folds: try larger "
+            "elements, a stronger imprint_smoothing or padded edges"
+        )
+    return now
 
 
-def _layer(solution: Solution) -> tuple[xr.Dataset, dict[str, Array]]:
+def _check_cover(stress: xr.DataArray, loaded: xr.DataArray, state: LayerState) -> None:
+    """Refuse a layer that has left more than half of its field of view.
+
+    Raises
+    ------
+    ConvergenceError
+    """
+    x0, x1, y0, y1 = layer_extent_of(loaded)
+    there = (stress["x"] >= x0) & (stress["x"] <= x1) & (stress["y"] >= y0) & (stress["y"] <= y1)
+    covered = float((np.isfinite(stress) & there).sum() / there.sum())
+    if covered < 0.5:
+        moved = float(np.hypot(*state.u[:2].mean((1, 2, 3))))
+        raise ConvergenceError(
+            f"nothing holds the layer sideways: it slid by {moved:.2g} mm and covers only "
+            f"{covered:.0%} of the field of view. Give the friction that there is at window and "
+            "sample, or roller edges"
+        )
+
+
+def _layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[str, Array]]:
     """Deformed layer as a Dataset, and what its sample side carries at the surface nodes."""
     problem, state = solution.problem, solution.state
     grid = problem.grid
     position = grid.nodes + state.u
-    force = balance(problem, state).force
+    force = now.force
     stress = problem.body.stress(state.u, state.p)
     touching = state.touching(problem)
     share = friction_fraction(problem, state)

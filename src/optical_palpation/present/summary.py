@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Hashable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -11,8 +13,22 @@ from optical_palpation.present.profiles import on_layer
 
 # Percent; an incompressible layer that is free to spread stays far below.
 _NOTABLE_VOLUME_CHANGE = 1.0
+# Share of the total force that sides carry which roll onto window or sample.
+_NOTABLE_SIDES = 0.001
 # Share of the map; more gaps than this say that something is wrong with it.
 _NOTABLE_FILLED = 0.2
+
+
+def equilibrium(attrs: Mapping[Hashable, Any]) -> str:
+    """Say how near to equilibrium a result is, and what its free sides carry."""
+    text = (
+        f"{attrs['status']}, forces out of balance by {attrs['force_residual']:.0e} of the contact "
+        f"forces (tolerance {attrs['force_tolerance']:.0e}), smallest volume ratio "
+        f"{attrs['smallest_volume_ratio']:.2f}"
+    )
+    if attrs["sides_force_share"] > _NOTABLE_SIDES:
+        text += f", sides carry {attrs['sides_force_share']:.1%} of the force"
+    return text
 
 
 def summarise(result: StressResult) -> str:
@@ -31,6 +47,8 @@ def summarise(result: StressResult) -> str:
     ]
     if forces:
         lines.append("total force: " + ", ".join(forces))
+    if "force_residual" in maps.attrs:
+        lines.append("equilibrium: " + equilibrium(maps.attrs))
     methods = {"computational": "axial_stress", "algebraic": "algebraic_axial_stress"}
     if "contact_pressure" not in maps:  # the algebraic method alone has none
         del methods["computational"]

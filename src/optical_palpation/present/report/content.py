@@ -14,6 +14,7 @@ from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.figure import colour_map
 from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.report.maps import encode_map, encode_maps
+from optical_palpation.present.summary import equilibrium
 from optical_palpation.present.terms import (
     DIFFERENCE,
     LENGTH,
@@ -224,6 +225,8 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
     if "force_balance" in attrs:
         off = 100 * attrs["force_balance"]
         rows.append(("Difference of the two", f"{off:.2g} %" if off > 1e-3 else "below 0.001 %"))
+    if "force_residual" in attrs:
+        rows.append(("Equilibrium", equilibrium(attrs)))
     for method, stress in methods(result).items():
         force = -float(stress.fillna(0.0).integrate(["y", "x"]))
         rows.append((f"Integral of the {method} map", f"{_number(force)} mN"))

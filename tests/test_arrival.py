@@ -1,0 +1,102 @@
+"""The solver arrives where load steps alone do not, says how it ended, and passes nothing wrong."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import robustness
+from optical_palpation.errors import ConvergenceError
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics import path
+from optical_palpation.mechanics.cascade import TOLERANCES, make_solver, relaxed
+from optical_palpation.mechanics.newton import balance
+from optical_palpation.mechanics.schur import Lubrication
+from optical_palpation.palpation import computational_stress
+from optical_palpation.thickness import thickness_map
+
+SILICONE = MooneyRivlin(2.23, 0.703)
+MU = SILICONE.shear_modulus
+
+
+def tilted(friction, element_size=0.25):
+    x = np.linspace(0, 2, 41)
+    values = 0.5 - 0.15 * np.tile(x / 2, (41, 1))
+    return computational_stress(
+        thickness_map(values, x=x, y=x, where="tilted plate"),
+        0.5,
+        SILICONE,
+        window_friction=friction,
+        sample_friction=friction,
+        element_size=element_size,
+    )
+
+
+def test_a_layer_that_nothing_holds_slides_away_and_is_no_result():
+    with pytest.raises(ConvergenceError, match="nothing holds the layer sideways"):
+        tilted(0.0)
+
+
+def test_a_result_says_how_it_ended():
+    result = tilted(0.2)
+    attrs = result.maps.attrs
+    assert attrs["status"] == "converged"
+    now = balance(result.problem, result.state)
+    assert attrs["force_residual"] == now.force_error < attrs["force_tolerance"]
+    assert attrs["volume_residual"] == now.volume_error < attrs["volume_tolerance"]
+    assert 0 < attrs["smallest_volume_ratio"] <= 1
+    assert attrs["slip_length_mm"] == pytest.approx(0.001)
+
+
+def test_a_disturbed_layer_comes_back_to_rest():
+    """Drag leaves the equilibrium where it was: the result does not depend on it."""
+    result = tilted(0.3)
+    problem, state = result.problem, result.state
+    force = state.normal_force.sum((1, 2))
+    start = state.copy()
+    k, j, i = np.indices(problem.grid.node_shape)
+    start.u[:, 1:-1] += 0.01 * np.sin(1.3 * k + 0.7 * j + 0.4 * i)[1:-1]
+    now = balance(problem, start)
+    assert now.force_error > 1e-2
+    settled, record = path.settle(
+        problem, make_solver(problem, "multigrid"), TOLERANCES, relaxed(TOLERANCES, 100.0), start
+    )
+    assert balance(problem, settled).force_error < TOLERANCES.force
+    assert_allclose(settled.normal_force.sum((1, 2)), force, rtol=0.02)
+    assert record
+
+
+def test_a_thin_layer_that_sticks_arrives():
+    """A layer 18 thicknesses wide, pressed by 45 % at friction 0.95 and 0.56, between rollers."""
+    outcome = robustness.attempt(robustness.random_case(34), limit=1800)
+    assert outcome.kind == "converged", outcome.text
+
+
+@pytest.mark.parametrize(
+    ("window", "sample", "factor"), [(1e9, 1e9, 12.0), (1e9, 0.0, 3.0), (0.0, 1e9, 3.0)]
+)
+def test_pressure_in_a_film_is_that_of_the_lubrication_equation(window, sample, factor):
+    """-h^2 / (12 mu) p'' = 1 between two faces that stick, a quarter of that p at one."""
+    n, width, h = 120, 6.0, 0.5
+    x = np.linspace(0, width, n + 1)
+    y = np.linspace(0, 40 * width, 5)  # so long that nothing leaves through its ends
+    film = Lubrication(np.linspace(0, h, 3), y, x, True, MU)
+    shape = 4, n
+    stiffness = np.empty((2, 2, *shape))
+    stiffness[0], stiffness[1] = window, sample
+    film.prepare(stiffness, np.ones((2, *shape)), 1e12)
+    area = np.diff(y)[:, None] * np.diff(x)
+    pressure = film.solve(np.stack([0.5 * h * area] * 2))  # a unit of strain in each element
+    centres = 0.5 * (x[1:] + x[:-1])
+    expected = factor * MU / h**2 * centres * (width - centres) / 2
+    inner = slice(4, -4)  # what interpolates the cells is level in their outer halves
+    assert_allclose(pressure[1, inner], expected[inner], atol=0.02 * expected.max())
+
+
+def test_no_friction_leaves_lubrication_nothing_to_say():
+    """A film that slides on both faces gives way as its length allows: far less than the layer."""
+    x = np.linspace(0, 5, 41)
+    film = Lubrication(np.linspace(0, 0.5, 3), x, x, True, MU)
+    film.prepare(np.zeros((2, 2, 40, 40)), np.ones((2, 40, 40)), 1e12)
+    area = np.diff(x)[:, None] * np.diff(x)
+    pressure = film.solve(np.stack([0.25 * area] * 2))
+    assert np.abs(pressure).max() < 0.2 * MU
