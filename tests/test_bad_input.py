@@ -113,7 +113,7 @@ OWN_FRAMES = {
     "transposed.npz": "13 rows along y and 17 columns along x",
     "short.npz": "13 rows along y and 17 columns along x",
     "one-axis.npz": "along both x and y",
-    "widths-in-um.npz": "one of them is probably not in mm",
+    "widths-in-um.npz": "no instrument sees 500 mm",
     "named-x.npz": "its type <U",
     "contradicting.npz --field-of-view 2 2": "contradicts",
 }
@@ -122,7 +122,7 @@ OPTIONS = {
     "--field-of-view inf 1": "field of view",
     "--field-of-view -2 1": "must be positive",
     "--field-of-view 2": "2 arguments",
-    "--field-of-view 2000 1500": "one of them is probably not in mm",
+    "--field-of-view 2000 1500": "no instrument sees 500 mm",
     "--field-of-view 0.002 0.0015": "one of them is probably not in mm",
     "--pixel-spacing 0 1": "must be positive",
     "--pixel-spacing nan 1": "pixel spacing",

@@ -124,6 +124,8 @@ def test_results_for_other_programs(here, run):
 def test_matlab_file_has_axes_and_units(tmp_path):
     it = result()
     it.maps.attrs["a_parameter_with_a_name_of_more_than_31_letters"] = 1.0
+    flags = {"flag_values": [0, 1, 2], "flag_meanings": "open slip stick"}
+    it.maps["contact_state"] = xr.zeros_like(it.maps["axial_stress"], np.int8).assign_attrs(flags)
     write_mat(it, tmp_path / "o.mat")
     content = scipy.io.loadmat(tmp_path / "o.mat", simplify_cells=True)
     np.testing.assert_array_equal(content["axial_stress"], it.maps["axial_stress"])

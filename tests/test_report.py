@@ -659,7 +659,7 @@ def test_report_from_a_thickness_map_alone(show, tmp_path):
         page = show(write(tmp_path / "map.html", result, loaded=measured))
         assert page.locator(".scans, #slice").count() == 0
         names = page.locator("figure[data-map]").evaluate_all("(f) => f.map((g) => g.dataset.map)")
-        assert names == ["algebraic", "contact_state", "loaded-thickness"]
+        assert names == ["algebraic", "loaded-thickness"]
         for fill, value in (("#cursor-x", x[25]), ("#cursor-y", y[4])):
             page.locator(fill).fill(str(value))
             page.keyboard.press("Enter")

@@ -18,8 +18,6 @@ _LEAST_MEASURED = 0.5
 # Numbers that programs write where they have none. Those below zero are refused anyhow.
 _MARKS = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 99.9, 999.9, 9999.9, 99.99, 32767.0, 65535.0)
 
-_MICROMETRES = ("um", "µm", "μm", "micron", "micrometer", "micrometre")
-
 
 def thickness_map(
     values: ArrayLike,
@@ -143,22 +141,19 @@ def on_grid(thickness: xr.DataArray) -> xr.DataArray:
             f"{thickness.dims} with coordinates {tuple(thickness.coords)}. Make one of an array "
             "with thickness_map"
         )
-    for part in (thickness, thickness["x"], thickness["y"]):
-        unit = stated_unit("", part.attrs, f"thickness map, {part.name}")
+    for name, part in (("map", thickness), ("x", thickness["x"]), ("y", thickness["y"])):
+        unit = stated_unit("", part.attrs, f"thickness map, {name}")
         if unit not in (None, "mm"):
-            raise InputError(
-                f"thickness map: {part.name} is in {unit}; thickness_map makes a map in mm of it"
-            )
-    for axis in ("x", "y"):
-        _ascending(thickness[axis].values, axis, thickness.sizes[axis], "thickness map")
-    for name, values in (("map", thickness), ("x", thickness["x"]), ("y", thickness["y"])):
-        if (unit := values.attrs.get("units", "mm")) in _MICROMETRES:
+            factor = MM[unit]
+            scale = f"* {factor:g}" if factor > 1 else f"/ {1 / factor:g}"
             change = (
-                f"assign_coords({name}=(map.{name} / 1000).assign_attrs(units='mm'))"
+                f"assign_coords({name}=(map.{name} {scale}).assign_attrs(units='mm'))"
                 if name in ("x", "y")
-                else "(map / 1000).assign_attrs(map.attrs, units='mm')"
+                else f"(map {scale}).assign_attrs(map.attrs, units='mm')"
             )
             raise InputError(f"thickness map: {name} is in {unit}; give mm: {change}")
+    for axis in ("x", "y"):
+        _ascending(thickness[axis].values, axis, thickness.sizes[axis], "thickness map")
     thickness = thickness.transpose("y", "x")
     if all(thickness[axis].values[0] < thickness[axis].values[-1] for axis in ("x", "y")):
         return thickness
