@@ -58,8 +58,17 @@ def add(name: str, write: Callable[[Path], Path], answer: Read | Refused, **opti
 
 
 def may_be_labels(values: np.ndarray) -> bool:
-    """Tell whether a first line or column is evenly spaced, as numbers of pixels are."""
-    return any(np.allclose(np.diff(edge, 2), 0.0) for edge in (values[0], values[:, 0]))
+    """Tell whether first line and column look like labels.
+
+    One of them is evenly spaced, as numbers of pixels are, or, with no number in the corner, both
+    rise or fall, as coordinates do.
+    """
+    edges = values[0], values[:, 0]
+    if np.isnan(values[0, 0]) and min(values.shape) > 2:
+        steps = [np.diff(edge[1:]) for edge in edges]
+        if all((s > 0).all() or (s < 0).all() for s in steps):
+            return True
+    return any(np.allclose(np.diff(edge, 2), 0.0) for edge in edges)
 
 
 # --- containers ---------------------------------------------------------------------------------

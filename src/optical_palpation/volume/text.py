@@ -225,9 +225,9 @@ def _without_labels(
             return table[1:, 1:]
         if corner_empty and _steady(first_row[1:]) and _steady(first_column[1:]):
             raise InputError(
-                f"{path}: the first cell is empty, first line and first column rise or fall "
+                f"{path}: the first cell holds no number, first line and first column rise or fall "
                 "steadily: they may be coordinates. Remove them, and give field of view or pixel "
-                "spacing; or write nan into the first cell if it is a missing pixel"
+                "spacing; or save the map as .npy or .mat if the first cell is a missing pixel"
             )
         if _counts(first_row) and not _counts(table[1]):
             if first_row[0] == 0.0:  # which is no thickness
