@@ -66,13 +66,14 @@ _DAMPING = 30.0
 class Drag:
     """One implicit Euler step of a layer in honey, from the state ``origin``.
 
-    ``viscosity`` is the force per volume and displacement, kPa / mm^2. Friction is bounded by the
-    contact forces of the origin: where it is bounded by those that are sought, nodes at free edges
-    stick, lose contact, slip back and touch again for ever.
+    ``viscosity`` is the force per volume and displacement, kPa / mm^2. Friction is bounded by given
+    normal forces, ``bound`` (2, ny + 1, nx + 1), mN: where it is bounded by those that are sought,
+    nodes at free edges stick, lose contact, slip back and touch again for ever.
     """
 
     viscosity: float
     origin: LayerState
+    bound: Array
 
     def force(self, problem: LayerProblem, u: Array) -> Array:
         """Nodal forces of the drag, mN."""
@@ -118,7 +119,7 @@ def balance(
         force += drag.force(problem, state.u)
     if direction is None:
         direction = friction_direction(slip_coordinate(problem, state))
-    bound = None if drag is None else drag.origin.normal_force
+    bound = None if drag is None else drag.bound
     contact = linearise(problem, state, force, direction, bound)
     out = force.copy()
     for face, k, sign in ((WINDOW, 0, -1.0), (SAMPLE, -1, 1.0)):

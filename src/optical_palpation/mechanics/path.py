@@ -23,7 +23,7 @@ Report = Callable[[float, int, Balance, int], None]
 
 #: Newton iterations in which a load path must arrive, and a layer that is carried over to another
 #: grid come to rest; after that its load is followed on that grid.
-_FOLLOWED, _CARRIED = 400, 100
+_FOLLOWED, _CARRIED = 250, 80
 #: Increment of the load below which drag takes over.
 _SNAP = 0.02
 #: Viscosity in shear moduli per thickness squared: at first, the least and the most. It is halved
@@ -36,7 +36,7 @@ _CREEP = 1e-5
 #: loaded, and on the way there.
 _REST = (0.03, 0.01)
 #: Steps in which a fully loaded layer must come to rest.
-_HELD = 60
+_HELD = 120
 
 
 @dataclass(frozen=True)
@@ -193,14 +193,18 @@ def _settle(
 ) -> None:
     """Go on along a path against drag: to full load and rest, or to next to no drag before that.
 
-    Friction is bounded by the contact forces before each step (``Drag``). When these no longer
-    change, and nothing moves, the state is one of equilibrium as it stands.
+    Friction is bounded by the contact forces before each step (``Drag``); of a fully loaded layer,
+    by the mean of these and the bound before: great friction at free edges would swing with them.
+    When they no longer change, and nothing moves, the state is one of equilibrium as it stands.
+    Newton's method, with friction bounded by what is sought, is tried again whenever a tenth is
+    left of what was out of balance.
     """
     unit = problem.shear_modulus / float(np.median(problem.grid.thickness)) ** 2
-    viscosity, held, wanted = _VISCOSITY, 0, intermediate
+    viscosity, held, wanted, near = _VISCOSITY, 0, intermediate, np.inf
+    bound = path.state.normal_force
     while True:
         load = min(1.0, path.state.load + step)
-        drag = Drag(viscosity * unit, path.state)
+        drag = Drag(viscosity * unit, path.state, bound)
         trial = replace(path.state.copy(), load=load)
         try:
             now, count = equilibrate(problem, trial, solver, wanted, path.counting(load), drag)
@@ -218,17 +222,19 @@ def _settle(
             step *= 1.5
             viscosity = max(_LEAST, (0.5 if load < 1.0 else 0.25) * viscosity)
         if load < 1.0:
+            bound = path.state.normal_force
             if share < _REST[1]:
                 return
             continue
+        bound = 0.5 * (bound + path.state.normal_force)
         rest = balance(problem, path.state)
         if rest.force_error < tolerances.force and rest.volume_error < tolerances.volume:
             return
         held += 1
         if held > _HELD:
             raise path.stopped(_restless(path, problem))
-        if share < _REST[0] and wanted is intermediate:
-            wanted = tolerances
+        if share < _REST[0] and rest.force_error < near:
+            wanted, near = tolerances, 0.1 * rest.force_error
             try:
                 now, count = equilibrate(
                     problem, path.state.copy(), solver, tolerances, path.counting(load)
