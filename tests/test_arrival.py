@@ -8,7 +8,8 @@ import robustness
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics import path
-from optical_palpation.mechanics.cascade import TOLERANCES, make_solver, relaxed
+from optical_palpation.mechanics.cascade import make_solver
+from optical_palpation.mechanics.iteration import TOLERANCES, relaxed
 from optical_palpation.mechanics.newton import balance
 from optical_palpation.mechanics.schur import Lubrication
 from optical_palpation.palpation import computational_stress

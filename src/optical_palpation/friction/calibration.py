@@ -119,7 +119,7 @@ def slab_profile(
     stress = -float(material.uniaxial_stress(-compression / initial_thickness, "true"))
 
     def bound(level: LayerProblem) -> Array:
-        return 2.0 * stress * level.grid.surface_areas(level.grid.nodes[:, -1])
+        return 2.0 * stress * level.grid.areas
 
     try:
         state = solve(problem, bound, solver="multigrid", tolerances=Tolerances()).state

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .direct import DirectSolver
 from .grid import LayerGrid, edge_width, node_positions
-from .iteration import NotConverged, Tolerances, relaxed
+from .iteration import TOLERANCES, NotConverged, Tolerances, relaxed
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .newton import Balance, LinearSolver, equilibrate
@@ -25,8 +25,6 @@ from .problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
 
-#: When a layer is in equilibrium.
-TOLERANCES = Tolerances(force=1e-5, volume=1e-6)
 #: How much further from balance than the last equilibrium others may be: smaller loads or coarser
 #: grids, and smaller loads on coarser grids.
 _ON_THE_WAY, _COARSE = 100.0, 1000.0
@@ -97,7 +95,7 @@ def _coarse_axis(nodes: Array, edge: float | None) -> Array:
 def prolong(state: LayerState, coarse: LayerProblem, fine: LayerProblem) -> LayerState:
     """Interpolate a state of one grid to another grid of the same layer."""
     source, target = coarse.grid, fine.grid
-    pressure = state.normal_force / source.surface_areas(source.nodes[:, -1])
+    pressure = state.normal_force / source.areas
     return LayerState(
         load=state.load,
         u=target.interpolate_from(source, state.u),
@@ -105,8 +103,7 @@ def prolong(state: LayerState, coarse: LayerProblem, fine: LayerProblem) -> Laye
         slip=target.interpolate_from(source, state.slip),
         anchor=target.interpolate_from(source, state.anchor),
         anchor_load=state.anchor_load,
-        normal_force=np.maximum(target.interpolate_from(source, pressure), 0.0)
-        * target.surface_areas(target.nodes[:, -1]),
+        normal_force=np.maximum(target.interpolate_from(source, pressure), 0.0) * target.areas,
     )
 
 
@@ -172,7 +169,7 @@ def solve(
         record.extend((level.grid.n_elements, *step) for step in steps)
         return state
 
-    state = balanced(problem, start.copy()) if start is not None else None
+    state = balanced(problem, start) if start is not None else None
     if state is not None:
         return Solution(problem, state, record)
     levels = grids(problem) if cascade else [problem]
@@ -180,7 +177,7 @@ def solve(
         level = levels[n]
         if state is not None:
             carried = prolong(state, levels[n + 1], level)
-            state = balanced(level, carried.copy()) or settled(level, carried)
+            state = balanced(level, carried) or settled(level, carried)
         if state is None:  # the load is followed on this grid
             rest = LayerState.unloaded(level.grid)
             full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))

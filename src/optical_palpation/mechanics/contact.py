@@ -120,8 +120,7 @@ class SideContact:
 def complementarity_scale(problem: LayerProblem) -> Array:
     """Scale c of the complementarity equation, mN / mm, shape (ny + 1, nx + 1)."""
     grid = problem.grid
-    areas = grid.surface_areas(grid.nodes[:, -1])
-    return areas * problem.shear_modulus / grid.spacing[0]
+    return grid.areas * problem.shear_modulus / grid.spacing[0]
 
 
 def slip_coordinate(problem: LayerProblem, state: LayerState) -> Array:

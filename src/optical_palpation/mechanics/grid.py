@@ -109,6 +109,11 @@ class LayerGrid:
             float(np.median(np.diff(self.x))),
         )
 
+    @cached_property
+    def areas(self) -> Array:
+        """Tributary areas of the unloaded sample-side nodes, (ny + 1, nx + 1), mm^2."""
+        return self.surface_areas(self.nodes[:, -1])
+
     def interpolate_from(self, other: LayerGrid, field: Array) -> Array:
         """Smooth (Akima) interpolation of a node field of another grid of the same layer.
 

@@ -33,6 +33,10 @@ class Tolerances:
     linear: float = 1e-2
 
 
+#: When bodies are in equilibrium.
+TOLERANCES = Tolerances(force=1e-5, volume=1e-6)
+
+
 def relaxed(tolerances: Tolerances, factor: float) -> Tolerances:
     """Return tolerances looser by a factor."""
     return replace(tolerances, force=factor * tolerances.force, volume=factor * tolerances.volume)

@@ -47,7 +47,7 @@ class MultigridSolver:
         self.hierarchy = Hierarchy((depth, grid.y, grid.x))
         self.schur = SchurComplement(grid.shape, grid.spacing, shear_modulus, self.gamma)
         self.lubrication = Lubrication(depth, grid.y, grid.x, free_sides, shear_modulus)
-        self.areas = grid.surface_areas(grid.nodes[:, -1])
+        self.areas = grid.areas
         #: Stiffness of a contact above which it counts as closed, mN / mm.
         self.springs = self.areas * shear_modulus / grid.spacing[0]
 

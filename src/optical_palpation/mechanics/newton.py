@@ -156,8 +156,7 @@ def _force_scale(problem: LayerProblem, state: LayerState) -> float:
     nowhere to go, the pressure is many times what shears it, and a small share of it is a large
     error of all else.
     """
-    grid = problem.grid
-    most = _PRESSURE * problem.shear_modulus * grid.surface_areas(grid.nodes[:, -1])
+    most = _PRESSURE * problem.shear_modulus * problem.grid.areas
     return float(np.linalg.norm(np.minimum(state.normal_force, most)))
 
 

@@ -205,7 +205,7 @@ def _settle(
     while True:
         load = min(1.0, path.state.load + step)
         drag = Drag(viscosity * unit, path.state, bound)
-        trial = replace(path.state.copy(), load=load)
+        trial = replace(path.state, load=load)
         try:
             now, count = equilibrate(problem, trial, solver, wanted, path.counting(load), drag)
         except NotConverged as failure:
@@ -237,7 +237,7 @@ def _settle(
             wanted, near = tolerances, 0.1 * rest.force_error
             try:
                 now, count = equilibrate(
-                    problem, path.state.copy(), solver, tolerances, path.counting(load)
+                    problem, path.state, solver, tolerances, path.counting(load)
                 )
             except NotConverged:
                 continue

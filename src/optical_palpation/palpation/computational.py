@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law
-from optical_palpation.mechanics.cascade import TOLERANCES, LoadNotReached, Solution, solve
+from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
 from optical_palpation.mechanics.contact import area_vectors, friction_fraction, side_contact
 from optical_palpation.mechanics.grid import (
     RIM,
@@ -27,6 +27,7 @@ from optical_palpation.mechanics.grid import (
     node_positions,
 )
 from optical_palpation.mechanics.imprint import Imprint
+from optical_palpation.mechanics.iteration import TOLERANCES
 from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from optical_palpation.palpation.algebraic import algebraic_stress
@@ -372,7 +373,7 @@ def _algebraic_forces(level: LayerProblem, material: Law) -> Array:
         # with nowhere to go the layer answers to the loss of volume with its bulk modulus
         lost = 1 - np.minimum(height, grid.thickness).mean() / grid.thickness.mean()
         stress = stress + material.bulk_modulus * lost
-    return stress * grid.surface_areas(grid.nodes[:, -1])
+    return stress * grid.areas
 
 
 def _checked(solution: Solution) -> Balance:

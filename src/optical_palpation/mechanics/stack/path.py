@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..iteration import NotConverged, Tolerances
+from ..iteration import TOLERANCES, NotConverged, Tolerances, relaxed
 from ..path import LoadNotReached, StepControl
 from .contact import remembered
 from .linear import StackSolver
@@ -17,21 +17,13 @@ from .problem import LAYER, Stack, State
 
 Array = NDArray[np.float64]
 
-#: When the full load is reached.
-TOLERANCES = Tolerances(force=1e-5, volume=1e-6)
 #: How much further from balance an equilibrium on the way may be.
 _ON_THE_WAY = 30.0
 
 
 def tolerances(load: float) -> Tolerances:
     """Return when a load is reached."""
-    if load == 1.0:
-        return TOLERANCES
-    return replace(
-        TOLERANCES,
-        force=_ON_THE_WAY * TOLERANCES.force,
-        volume=_ON_THE_WAY * TOLERANCES.volume,
-    )
+    return TOLERANCES if load == 1.0 else relaxed(TOLERANCES, _ON_THE_WAY)
 
 
 @dataclass

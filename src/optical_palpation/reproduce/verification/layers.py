@@ -68,7 +68,7 @@ def press(
     try:
         return solve(
             problem,
-            lambda level: pressure * level.grid.surface_areas(level.grid.nodes[:, -1]),
+            lambda level: pressure * level.grid.areas,
             solver=solver,
             cascade=False,
             tolerances=Tolerances(force=accuracy, volume=1e-2 * accuracy),
