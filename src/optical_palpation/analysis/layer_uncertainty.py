@@ -33,9 +33,8 @@ def stress_uncertainty(
     """Propagate errors of the inputs to the computational stress and the total force.
 
     The error bars of section 5 of the paper, as maps: each error that is not zero costs two solves
-    (noise, two for each probe). Each of them starts from the solution for the inputs as they are,
-    so that friction remembers how the layer slipped there: a third of the time, and error bars of
-    friction that are a few percent narrower than from solves that follow the load anew.
+    (noise, two for each probe). Each follows the load from the unloaded layer, because friction
+    remembers the path.
 
     Parameters
     ----------
@@ -51,8 +50,7 @@ def stress_uncertainty(
     thickness_noise
         Error of the loaded thickness that differs from place to place, mm.
     nominal
-        Solution for the inputs as they are, if there is one already; one that holds no state
-        (read from a file) is computed anew.
+        Solution for the inputs as they are, if there is one already.
     progress
         As for ``computational_stress``; the stage also counts the solves.
     options
@@ -86,8 +84,7 @@ def stress_uncertainty(
     }
     errors = {name: error for name, error in given.items() if error}
     solves = sum(2 * (e.probes if isinstance(e, Noise) else 1) for e in errors.values())
-    start = nominal if nominal is not None and nominal.state is not None else None
-    solves += start is None
+    solves += nominal is None
     count = 0
 
     def solve(
@@ -113,11 +110,8 @@ def stress_uncertainty(
             material.scaled(modulus),
             window_friction=window_friction,
             sample_friction=sample_friction,
-            start=start,
             progress=report,
             **options,
         )
 
-    if start is None:
-        start = solve(**values)
-    return propagate_uncertainty(solve, values, errors, nominal=start)
+    return propagate_uncertainty(solve, values, errors, nominal=nominal)

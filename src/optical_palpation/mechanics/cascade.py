@@ -113,7 +113,6 @@ def solve(
     *,
     solver: str = "multigrid",
     cascade: bool = True,
-    start: LayerState | None = None,
     tolerances: Tolerances | None = None,
     control: StepControl | None = None,
     on_iteration: Callable[[LayerProblem, float, int, Balance, int], None] | None = None,
@@ -128,8 +127,6 @@ def solve(
         ``multigrid`` or ``direct``.
     cascade
         Follow the load path on a coarse grid first (else on the grid itself).
-    start
-        Fully loaded state of a similar problem on the same grid, to begin with.
 
     Raises
     ------
@@ -169,9 +166,7 @@ def solve(
         record.extend((level.grid.n_elements, *step) for step in steps)
         return state
 
-    state = balanced(problem, start) if start is not None else None
-    if state is not None:
-        return Solution(problem, state, record)
+    state: LayerState | None = None
     levels = grids(problem) if cascade else [problem]
     for n in reversed(range(len(levels))):
         level = levels[n]

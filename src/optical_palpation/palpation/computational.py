@@ -76,7 +76,6 @@ def computational_stress(
     imprint_smoothing: float | None = None,
     solver: Literal["auto", "multigrid", "direct"] = "auto",
     threads: int | None = None,
-    start: StressResult | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> StressResult:
     """Compute the tactile stress that deforms the layer to the loaded thickness.
@@ -112,10 +111,6 @@ def computational_stress(
         ``multigrid``, ``direct`` (sparse LU, for small grids) or ``auto``.
     threads
         Number of threads; by default one for each core that the process may use.
-    start
-        The solution of a similar problem (a little more friction, another modulus, a slightly
-        different thickness) of the same elements, from which to start instead of from the unloaded
-        layer. Friction then remembers how that layer slipped.
     progress
         Called with a :class:`Progress` now and then.
 
@@ -177,7 +172,6 @@ def computational_stress(
                 problem,
                 lambda level: _algebraic_forces(level, material),
                 solver="multigrid" if solver == "auto" else solver,
-                start=_start(start, problem),
                 on_iteration=report,
             )
     except LoadNotReached as failure:
@@ -230,24 +224,6 @@ def computational_stress(
     if motion is not None:
         maps.attrs |= motion.attrs
     return StressResult(maps, layer, problem, solution.state)
-
-
-def _start(result: StressResult | None, problem: LayerProblem) -> LayerState | None:
-    """Return the state of a result, if the problem has the same nodes."""
-    if result is None:
-        return None
-    if result.state is None or result.problem is None:
-        raise InputError(
-            "the result to start from holds no state: only those of computational_stress do, and "
-            "files of them that this version has written"
-        )
-    if result.problem.grid.node_shape != problem.grid.node_shape:
-        here, there = (p.grid.shape[::-1] for p in (problem, result.problem))
-        raise InputError(
-            f"the result to start from has {there} elements, this problem {here}: use the same "
-            "element_size, edges and field of view"
-        )
-    return result.state
 
 
 def _check_numbers(

@@ -57,8 +57,7 @@ class StressResult:
         The boundary-value problem that was solved, for export to other codes; ``None`` for the
         algebraic method.
     state
-        The state of that problem at full load, from which solving a similar one may start; likewise
-        ``None``.
+        The state of that problem at full load; likewise ``None``.
     """
 
     maps: xr.Dataset
@@ -218,7 +217,7 @@ class StressResult:
         """Write the result to a file of the kind that its name's ending says.
 
         ``.nc`` keeps all of it, :func:`~optical_palpation.present.read_result` reads it back, with
-        the state from which a similar problem can start. The rest is listed at
+        the problem and its state. The rest is listed at
         :func:`~optical_palpation.present.write`.
 
         Raises

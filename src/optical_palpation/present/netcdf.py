@@ -48,8 +48,8 @@ def write_result(result: StressResult, path: str | Path) -> None:
     """Write a result as a NetCDF-4 file.
 
     The maps are at the root, the deformed layer, if the result has one, in the group ``layer``
-    (in single precision, its axes named ``node_z``, ``node_y``, ``node_x`` there); what solving a
-    similar problem may start from, if the result holds that, in ``problem`` and ``state``.
+    (in single precision, its axes named ``node_z``, ``node_y``, ``node_x`` there); the problem
+    and its state, if the result holds these, in ``problem`` and ``state``.
     Units, signs, axis order, origin, spacing, software version and all parameters are attributes.
     The file replaces an older one only when it is complete.
 
