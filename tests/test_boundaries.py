@@ -1,11 +1,19 @@
 import numpy as np
 import pytest
 import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
 
 from optical_palpation.errors import InputError
 from optical_palpation.experiment.synthetic_oct import FWHM, Optics, SyntheticOCT
-from optical_palpation.thickness.boundaries import find_layer
-from optical_palpation.thickness.corrections import Anchor, Corrections, Exclusion, read_corrections
+from optical_palpation.thickness.boundaries import LayerFinder, find_layer
+from optical_palpation.thickness.corrections import (
+    Anchor,
+    Corrections,
+    Exclusion,
+    read_corrections,
+    write_corrections,
+)
 from optical_palpation.thickness.intensity import intensity_reader, point_spread
 from optical_palpation.thickness.registration import lateral_shift, shift_map
 
@@ -15,12 +23,12 @@ Y, X = np.meshgrid(*(0.01 * np.arange(n) for n in SHAPE), indexing="ij")
 SMOOTH = 0.35 + 0.05 * np.sin(2 * np.pi * X / 0.9) + 0.02 * np.cos(2 * np.pi * Y / 0.5)
 
 
-def volume(thickness=SMOOTH, **given) -> SyntheticOCT:
-    return SyntheticOCT(thickness, SPACING, 280, **{"tilt": (0.02, 0.03), "snr_db": 20.0} | given)
+def volume(thickness=SMOOTH, **other) -> SyntheticOCT:
+    return SyntheticOCT(thickness, SPACING, 280, **{"tilt": (0.02, 0.03), "snr_db": 20.0} | other)
 
 
-def found(of: SyntheticOCT, **given) -> tuple[xr.Dataset, np.ndarray]:
-    layer = find_layer(of, spacing=of.spacing, scale="linear", **given)
+def found(of: SyntheticOCT, **parameters) -> tuple[xr.Dataset, np.ndarray]:
+    layer = find_layer(of, spacing=of.spacing, scale="linear", **parameters)
     return layer, (layer.thickness.values - of.thickness) / of.spacing[0]
 
 
@@ -203,6 +211,71 @@ def test_corrections_in_pixels():
     assert fixes.anchor_pixels("sample", (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)) == []
     mask = fixes.excluded_pixels("sample", (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (3, 4))
     assert mask.tolist() == [[False, True, True, False]] * 2 + [[False] * 4]
+
+
+NUMBERS = st.floats(-100, 100)
+SIDES = st.sampled_from(["window", "sample"])
+RANGES = st.tuples(NUMBERS, NUMBERS).map(sorted)
+
+
+@given(
+    anchors=st.lists(st.builds(Anchor, SIDES, NUMBERS, NUMBERS, NUMBERS)),
+    exclusions=st.lists(
+        st.builds(lambda side, x, y: Exclusion(side, *x, *y), SIDES, RANGES, RANGES)
+    ),
+)
+def test_corrections_come_back_from_a_file_to_the_last_digit(tmp_path, anchors, exclusions):
+    corrections = Corrections(tuple(anchors), tuple(exclusions))
+    write_corrections(corrections, tmp_path / "c.txt")
+    assert read_corrections(tmp_path / "c.txt") == corrections
+
+
+class Counted:
+    """A volume that counts how often its B-scans are read."""
+
+    def __init__(self, of: SyntheticOCT) -> None:
+        self._stack = np.stack(list(of), axis=1)
+        self.shape, self.reads = self._stack.shape, 0
+
+    def bscan(self, y: int) -> np.ndarray:
+        self.reads += 1
+        return self._stack[:, y]
+
+
+def test_a_correction_finds_anew_what_it_changes_and_the_same_as_from_scratch():
+    of = volume()
+    stack = Counted(of)
+    finder = LayerFinder(stack, spacing=SPACING, scale="linear")
+    depth = of.window_map + SMOOTH
+    sample = Anchor("sample", 0.4, 0.3, float(depth[30, 40]) - 0.02)
+    hidden = Exclusion("sample", 0.6, 0.8, 0.1, 0.3)
+    window = Anchor("window", 0.2, 0.2, float(of.window_map[20, 20]) + 0.02)
+    before = xr.Dataset()
+    for fixes, reads_again in (
+        (Corrections(), True),
+        (Corrections((sample,)), True),
+        (Corrections((sample,), (hidden,)), True),
+        (Corrections((sample,), (hidden,)), False),
+        (Corrections((sample, window), (hidden,)), True),
+        (Corrections(), True),
+    ):
+        stack.reads = 0
+        now = finder.find(fixes)
+        assert stack.reads == (SHAPE[0] if reads_again else 0)
+        scratch = find_layer(stack, spacing=SPACING, scale="linear", corrections=fixes)
+        assert now.identical(scratch)
+        if fixes.exclusions and window not in fixes.anchors:
+            assert now["window_depth"].equals(before["window_depth"])
+        before = now
+
+
+def test_a_correction_outside_the_volume_leaves_the_finder_as_it_was():
+    of = volume()
+    finder = LayerFinder(of, spacing=SPACING, scale="linear")
+    before = finder.find()
+    with pytest.raises(InputError, match="outside the volume"):
+        finder.find(Corrections((Anchor("sample", 99.0, 0.0, 0.1),)))
+    assert finder.find().identical(before)
 
 
 def test_noise_holds_no_layer():

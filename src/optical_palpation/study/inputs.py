@@ -14,7 +14,7 @@ from optical_palpation.files import readable_name
 from optical_palpation.palpation import read_sample_motion, uniform_motion
 from optical_palpation.study.record import sha256
 from optical_palpation.study.schema import MapInput, Study, VolumeInput, Volumes
-from optical_palpation.thickness import find_layer
+from optical_palpation.thickness import LayerFinder, find_layer
 from optical_palpation.volume import Volume, open_volume
 
 _READING = ("variable", "axes", "spacing", "scale", "refractive_index", "origin", "untrusted")
@@ -38,14 +38,19 @@ def find_boundaries(
     parameters: Mapping[str, Any],
     corrections: Path | None = None,
     progress: Callable[[float], None] | None = None,
+    finder: LayerFinder | None = None,
 ) -> xr.Dataset:
     """Find the layer in a volume: the dataset of :func:`find_layer`, which says where it is from.
 
     Attributes are added: ``source`` and ``source_sha256`` (file and hash), ``volume`` (its
     metadata) and ``parameters``, the last two as JSON. `parameters`, `corrections` and `progress`
-    are those of :func:`find_layer`.
+    are those of :func:`find_layer`; `finder`, one that was made of this volume and these
+    parameters, finds anew only what corrections have changed.
     """
-    found = find_layer(volume, corrections=corrections, progress=progress, **parameters)
+    if finder is None:
+        found = find_layer(volume, corrections=corrections, progress=progress, **parameters)
+    else:
+        found = finder.find(corrections, progress=progress)
     used = {key: value for key, value in parameters.items() if value is not None}
     if corrections is not None:
         used["corrections_sha256"] = sha256(corrections)

@@ -18,9 +18,10 @@ import xarray as xr
 
 from optical_palpation import present
 from optical_palpation.files import readable_name
-from optical_palpation.palpation import algebraic_result, computational_stress
+from optical_palpation.palpation import algebraic_result
 from optical_palpation.palpation.plausibility import check_stress
 from optical_palpation.palpation.result import StressResult
+from optical_palpation.study.compute import stress_of, thickness_of, with_thickness
 from optical_palpation.study.inputs import (
     by_side,
     find_boundaries,
@@ -28,26 +29,17 @@ from optical_palpation.study.inputs import (
     motion_facts,
     open_input,
     parameters,
-    sample_motion,
 )
 from optical_palpation.study.record import Make, Progress, Stage, Tell
-from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
+from optical_palpation.study.schema import MapInput, NumberInput, Study
 from optical_palpation.study.script import reproducing_lines
-from optical_palpation.thickness import (
-    clean_thickness,
-    lateral_shift,
-    match_initial_thickness,
-    read_thickness_map,
-    shift_map,
-    thickness_map,
-    write_thickness_map,
-)
+from optical_palpation.thickness import write_thickness_map
 
 THICKNESS, ALGEBRAIC, STRESS = "thickness.nc", "algebraic.nc", "stress.nc"
 _NOTABLE_FILLED = 0.02
 _NOTABLE_IMBALANCE = 0.01
 # What makes the files: a change there makes them anew.
-_HERE = ("study/stages.py", "study/inputs.py")
+_HERE = ("study/stages.py", "study/compute.py", "study/inputs.py")
 _FINDING = ("thickness", "volume", *_HERE)
 _SOLVING = ("palpation", "present/netcdf.py", "present/output.py", *_HERE)
 _SHOWING = ("present", *_HERE)
@@ -128,86 +120,13 @@ class Stages:
 
         return make
 
-    def _measured(
-        self, source: VolumeInput | MapInput, boundaries: Path, extent: Any
-    ) -> tuple[xr.DataArray, xr.DataArray | None]:
-        """Thickness as measured, NaN where it was not, and its quality where there is one."""
-        if isinstance(source, MapInput):
-            given = source.model_dump(exclude={"map"})
-            return read_thickness_map(
-                self.study.path(source.map), layer_extent=extent, **given
-            ), None
-        found = xr.load_dataset(boundaries, engine="h5netcdf")
-        seen = found["thickness"].where(~found["filled"])
-        measured = thickness_map(seen, x=found["x"], y=found["y"], layer_extent=extent)
-        measured.attrs |= {key: found.attrs[key] for key in ("source", "source_sha256")}
-        return measured, found["quality"]
-
     def _thickness(self, path: Path, tell: Tell) -> None:
-        """Write loaded and initial thickness on the pixels of the loaded map, without gaps."""
         tell(Progress("thickness", 0.0))
-        study = self.study
-        extent = study.layer.extent
-        loaded, quality = self._measured(
-            study.loaded, path.with_name("boundaries-loaded.nc"), extent
-        )
-        cleaned = clean_thickness(loaded)
-        attrs = cleaned.attrs | {"boundaries": self._found(path.parent)}
-        here = {"y": loaded["y"], "x": loaded["x"]}
-        if isinstance(study.unloaded, NumberInput):
-            initial: Any = study.unloaded.thickness
-            made_up = xr.zeros_like(cleaned["filled"])
-            source = {}
-        else:
-            other = path.with_name("boundaries-unloaded.nc")
-            unloaded, _ = self._measured(study.unloaded, other, None)
-            source = {k: v for k, v in unloaded.attrs.items() if k.startswith("source")}
-            if study.layer.registration:
-                shift = lateral_shift(loaded, unloaded)
-                unloaded = shift_map(unloaded, shift)
-                attrs["registration_shift_mm"] = list(shift)  # y, x
-            whole = clean_thickness(unloaded)
-            initial = whole["thickness"]
-            made_up = whole["filled"].reindex(here, method="nearest")
-        matched = match_initial_thickness(initial, cleaned["thickness"])
-        matched.attrs |= source
-        if isinstance(study.loaded, VolumeInput):
-            found = xr.load_dataset(path.with_name("boundaries-loaded.nc"), engine="h5netcdf")
-            attrs["specular_share"] = found.attrs["specular_share"]
-        result = xr.Dataset(
-            {
-                "loaded_thickness": cleaned["thickness"],
-                "filled": cleaned["filled"],
-                "initial_thickness": matched,
-                "initial_filled": made_up,
-            },
-            attrs=attrs | {"initial_filled_share": float(made_up.mean())},
-        )
-        if quality is not None:
-            result["quality"] = quality.where(~cleaned["filled"].values, 0.0)
-        write_thickness_map(result, path)
-
-    def _found(self, folder: Path) -> str:
-        """How the boundaries were found, as JSON."""
-        how = {}
-        for side in by_side(self.study):
-            found = xr.load_dataset(folder / f"boundaries-{side}.nc", engine="h5netcdf")
-            how[side] = {key: json.loads(found.attrs[key]) for key in ("volume", "parameters")}
-        return json.dumps(how)
-
-    def _stress_of(self, thickness: xr.Dataset, result: StressResult) -> StressResult:
-        """Let what is known about the thickness go with the stress."""
-        maps = result.maps
-        here = {axis: maps[axis] for axis in "yx"}
-        for name in ("filled", "quality"):
-            if name in thickness:
-                maps[name] = thickness[name].reindex(here, method="nearest")
-        of_file = ("software", "software_version", "axis_order")  # a result says these itself
-        maps.attrs |= {key: v for key, v in thickness.attrs.items() if key not in of_file}
-        for key, value in thickness["initial_thickness"].attrs.items():
-            if key.startswith("source"):
-                maps.attrs[key.replace("source", "initial_thickness_input")] = value
-        return result
+        found = {
+            side: xr.load_dataset(path.with_name(f"boundaries-{side}.nc"), engine="h5netcdf")
+            for side in by_side(self.study)
+        }
+        write_thickness_map(thickness_of(self.study, found), path)
 
     def _algebraic(self, path: Path, tell: Tell) -> None:
         tell(Progress("algebraic stress", 0.0))
@@ -218,23 +137,11 @@ class Stages:
             self.study.material.make(),
         )
         check_stress(result.maps["axial_stress"])
-        present.write_result(self._stress_of(thickness, result), path)
+        present.write_result(with_thickness(result, thickness), path)
 
     def _computational(self, path: Path, tell: Tell) -> None:
-        study = self.study
         thickness = xr.load_dataset(path.with_name(THICKNESS), engine="h5netcdf")
-        loaded = thickness["loaded_thickness"]
-        result = computational_stress(
-            loaded,
-            thickness["initial_thickness"],
-            study.material.make(),
-            window_friction=study.friction.window,
-            sample_friction=study.friction.sample,
-            sample_motion=sample_motion(study, loaded),
-            progress=tell,
-            **study.grid.model_dump(),
-        )
-        present.write_result(self._stress_of(thickness, result), path)
+        present.write_result(stress_of(self.study, thickness, tell), path)
 
     def _report(self, path: Path, tell: Tell) -> None:
         from optical_palpation.present.report import write_report

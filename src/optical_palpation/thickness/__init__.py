@@ -1,8 +1,8 @@
 """Thickness of the layer: from OCT volumes or files to clean maps."""
 
-from optical_palpation.thickness.boundaries import find_layer, find_surface
+from optical_palpation.thickness.boundaries import LayerFinder, find_layer, find_surface
 from optical_palpation.thickness.cleaning import clean_thickness
-from optical_palpation.thickness.corrections import Corrections, read_corrections
+from optical_palpation.thickness.corrections import Corrections, read_corrections, write_corrections
 from optical_palpation.thickness.frames import thickness_map
 from optical_palpation.thickness.initial import match_initial_thickness
 from optical_palpation.thickness.maps import (
@@ -14,6 +14,7 @@ from optical_palpation.thickness.registration import lateral_shift, shift_map
 
 __all__ = [
     "Corrections",
+    "LayerFinder",
     "clean_thickness",
     "find_layer",
     "find_surface",
@@ -24,5 +25,6 @@ __all__ = [
     "read_thickness_map",
     "shift_map",
     "thickness_map",
+    "write_corrections",
     "write_thickness_map",
 ]

@@ -148,51 +148,188 @@ def find_layer(
         If spacing or scale are missing, or a boundary is nowhere to be seen.
     """
     tell = progress or (lambda share: None)
-    scan = _scan(volume, spacing, scale, lambda share: tell(0.4 * share))
-    fixes = _corrections(corrections)
-    fixes.check_inside(scan.origin, scan.spacing, scan.shape)
-    ny, nx = scan.shape[1:]
-    first, last = scan.depths(window_range, (0.0, scan.shape[0] - 1.0))
-    ends = np.full((ny, nx), first), np.full((ny, nx), last)
-    found: dict[str, tuple[Edge, NDArray]] = {}
-    if isinstance(window, str):
-        top = _locate(scan, window, *ends, fixes, "window", method)
-        found["window"] = window, top
-    else:
-        if not np.isfinite(window):
-            raise InputError(f"window depth is {window}; give a depth in mm")
-        top = np.full((ny, nx), (float(window) - scan.origin[0]) / scan.spacing[0])
-    first, last = scan.depths(sample_range, (0.0, scan.shape[0] - 1.0))
-    lowest = np.maximum(first, top + GUARD * scan.sigma)
-    bottom = _locate(scan, sample, lowest, np.full((ny, nx), last), fixes, "sample", method)
-    found["sample"] = sample, bottom
-    tell(0.5)
-    nowhere = np.zeros((ny, nx), bool)
-    parts = {"window": (top, np.ones((ny, nx)), nowhere, nowhere)}
-    parts |= _finish(scan, found, fixes, method, lambda share: tell(0.5 + 0.5 * share))
-    top, top_quality, top_filled = parts["window"][:3]
-    bottom, bottom_quality, bottom_filled, specular = parts["sample"]
-    filled = top_filled | bottom_filled
-    quality = np.where(filled, 0.0, np.minimum(top_quality, bottom_quality))
-    dz, z0 = scan.spacing[0], scan.origin[0]
-    data = xr.Dataset(
-        {
-            "window_depth": scan.map(z0 + dz * top, "depth of the window side", "mm"),
-            "sample_depth": scan.map(z0 + dz * bottom, "depth of the sample side", "mm"),
-            "thickness": scan.map(dz * (bottom - top), "thickness of the layer", "mm"),
-            "quality": scan.map(quality, "contrast of the weaker boundary", "1"),
-            "filled": scan.map(filled, "filled from around", "1"),
-            "specular": scan.map(specular, "as bright as a reflection, near or at the pixel", "1"),
-        },
-        attrs={
-            "method": method,
-            "specular_share": float(np.mean(specular)),
-            "axial_resolution_mm": float(FWHM * scan.sigma * dz),
-            "filled_share": float(np.mean(filled)),
-        },
+    finder = LayerFinder(
+        volume,
+        spacing=spacing,
+        scale=scale,
+        window=window,
+        sample=sample,
+        window_range=window_range,
+        sample_range=sample_range,
+        method=method,
+        progress=lambda share: tell(0.4 * share),
     )
-    tell(1.0)
-    return data
+    return finder.find(corrections, progress=lambda share: tell(0.4 + 0.6 * share))
+
+
+@dataclass(frozen=True)
+class _Located:
+    """First estimate of a boundary, and what it was made from."""
+
+    first: NDArray[np.float64]
+    last: NDArray[np.float64]
+    anchors: list[tuple[float, float, float]]
+    excluded: NDArray[np.bool_]
+    start: NDArray[np.float64]
+
+
+class LayerFinder:
+    """Finds the layer in a volume again and again, as corrections are made.
+
+    The volume is read once when the finder is made, and once more for the boundaries that a
+    correction has changed; the others stay. The result is that of :func:`find_layer` with the same
+    corrections, to the last bit.
+
+    Parameters
+    ----------
+    volume, spacing, scale, window, sample, window_range, sample_range, method, progress
+        As for :func:`find_layer`.
+
+    Raises
+    ------
+    InputError
+        If spacing or scale are missing, or a parameter cannot be used.
+    """
+
+    def __init__(
+        self,
+        volume: BScans | NDArray,
+        *,
+        spacing: tuple[float, float, float] | None = None,
+        scale: Scale | None = None,
+        window: Edge | float = "line",
+        sample: Edge = "rise",
+        window_range: Range | None = None,
+        sample_range: Range | None = None,
+        method: Method = "surface",
+        progress: Progress | None = None,
+    ) -> None:
+        self._scan = _scan(volume, spacing, scale, progress or (lambda share: None))
+        self._window, self._sample, self._method = window, sample, method
+        self._ranges = {"window": window_range, "sample": sample_range}
+        self._located: dict[str, _Located] = {}
+        self._parts: dict[str, tuple[NDArray, NDArray, NDArray, NDArray]] = {}
+        self._finished: dict[str, tuple[NDArray, NDArray]] = {}
+
+    def find(
+        self,
+        corrections: Corrections | str | Path | None = None,
+        *,
+        progress: Progress | None = None,
+    ) -> xr.Dataset:
+        """Find both boundaries.
+
+        Parameters
+        ----------
+        corrections, progress
+            As for :func:`find_layer`.
+
+        Returns
+        -------
+        xarray.Dataset
+            As from :func:`find_layer`.
+
+        Raises
+        ------
+        InputError
+            If a correction lies outside of the volume, or a boundary is nowhere to be seen.
+        """
+        tell = progress or (lambda share: None)
+        scan, window = self._scan, self._window
+        fixes = _corrections(corrections)
+        fixes.check_inside(scan.origin, scan.spacing, scan.shape)
+        ny, nx = scan.shape[1:]
+        whole = (0.0, scan.shape[0] - 1.0)
+        first, last = scan.depths(self._ranges["window"], whole)
+        found: dict[str, tuple[Edge, NDArray]] = {}
+        if isinstance(window, str):
+            ends = np.full((ny, nx), first), np.full((ny, nx), last)
+            top = self._locate("window", window, *ends, fixes)
+            found["window"] = window, top
+        else:
+            if not np.isfinite(window):
+                raise InputError(f"window depth is {window}; give a depth in mm")
+            top = np.full((ny, nx), (float(window) - scan.origin[0]) / scan.spacing[0])
+        first, last = scan.depths(self._ranges["sample"], whole)
+        lowest = np.maximum(first, top + GUARD * scan.sigma)
+        bottom = self._locate("sample", self._sample, lowest, np.full((ny, nx), last), fixes)
+        found["sample"] = self._sample, bottom
+        tell(0.1)
+        nowhere = np.zeros((ny, nx), bool)
+        parts = {"window": (top, np.ones((ny, nx)), nowhere, nowhere)}
+        parts |= self._finish(found, fixes, lambda share: tell(0.1 + 0.9 * share))
+        tell(1.0)
+        return self._dataset(parts)
+
+    def _locate(
+        self,
+        boundary: Literal["window", "sample"],
+        edge: Edge,
+        first: NDArray[np.float64],
+        last: NDArray[np.float64],
+        fixes: Corrections,
+    ) -> NDArray[np.float64]:
+        """First estimate of a boundary, that of before if it is made from the same."""
+        scan = self._scan
+        anchors = fixes.anchor_pixels(boundary, scan.origin, scan.spacing)
+        excluded = _excluded(scan, fixes, boundary)
+        known = self._located.get(boundary)
+        if (
+            known is None
+            or known.anchors != anchors
+            or not np.array_equal(known.excluded, excluded)
+            or not np.array_equal(known.first, first)
+            or not np.array_equal(known.last, last)
+        ):
+            start = _locate(scan, edge, first, last, fixes, boundary, self._method)
+            known = _Located(first, last, anchors, excluded, start)
+            self._located[boundary] = known
+        return known.start
+
+    def _finish(
+        self, found: dict[str, tuple[Edge, NDArray]], fixes: Corrections, progress: Progress
+    ) -> dict[str, tuple[NDArray, NDArray, NDArray, NDArray]]:
+        """Refine the boundaries whose estimate or excluded pixels have changed."""
+        changed, made_from = {}, {}
+        for boundary, (edge, start) in found.items():
+            made_from[boundary] = start, _excluded(self._scan, fixes, boundary)
+            before = self._finished.get(boundary)
+            if before is None or not all(
+                np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+                for a, b in zip(before, made_from[boundary], strict=True)
+            ):
+                changed[boundary] = edge, start
+        if changed:
+            new = _finish(self._scan, changed, fixes, self._method, progress)
+            self._parts |= new
+            self._finished |= {boundary: made_from[boundary] for boundary in new}
+        return {boundary: self._parts[boundary] for boundary in found}
+
+    def _dataset(self, parts: dict[str, tuple[NDArray, NDArray, NDArray, NDArray]]) -> xr.Dataset:
+        scan = self._scan
+        top, top_quality, top_filled = parts["window"][:3]
+        bottom, bottom_quality, bottom_filled, specular = parts["sample"]
+        filled = top_filled | bottom_filled
+        quality = np.where(filled, 0.0, np.minimum(top_quality, bottom_quality))
+        dz, z0 = scan.spacing[0], scan.origin[0]
+        return xr.Dataset(
+            {
+                "window_depth": scan.map(z0 + dz * top, "depth of the window side", "mm"),
+                "sample_depth": scan.map(z0 + dz * bottom, "depth of the sample side", "mm"),
+                "thickness": scan.map(dz * (bottom - top), "thickness of the layer", "mm"),
+                "quality": scan.map(quality, "contrast of the weaker boundary", "1"),
+                "filled": scan.map(filled, "filled from around", "1"),
+                "specular": scan.map(
+                    specular.copy(), "as bright as a reflection, near or at the pixel", "1"
+                ),
+            },
+            attrs={
+                "method": self._method,
+                "specular_share": float(np.mean(specular)),
+                "axial_resolution_mm": float(FWHM * scan.sigma * dz),
+                "filled_share": float(np.mean(filled)),
+            },
+        )
 
 
 def find_surface(
@@ -227,6 +364,10 @@ def find_surface(
             "filled": scan.map(filled, "filled from around", "1"),
         }
     )
+
+
+def _excluded(scan: _Scan, fixes: Corrections, boundary: str) -> NDArray[np.bool_]:
+    return fixes.excluded_pixels(boundary, scan.origin, scan.spacing, scan.shape[1:])
 
 
 def _corrections(given: Corrections | str | Path | None) -> Corrections:
@@ -292,7 +433,7 @@ def _locate(
         first=first,
         last=last,
         anchors=fixes.anchor_pixels(boundary, scan.origin, scan.spacing),
-        excluded=fixes.excluded_pixels(boundary, scan.origin, scan.spacing, scan.shape[1:]),
+        excluded=_excluded(scan, fixes, boundary),
     )
 
 
@@ -336,7 +477,7 @@ def _finish(
         )
         if method == "canny":
             depth = start
-        excluded = fixes.excluded_pixels(name, scan.origin, scan.spacing, scan.shape[1:])
+        excluded = _excluded(scan, fixes, name)
         lost = ~np.isfinite(depth) | (quality < WORST_CONTRAST) | excluded
         lost |= (depth < 0) | (depth > scan.shape[0] - 1)
         if np.mean(lost) > 0.95:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optical_palpation.errors import InputError
+from optical_palpation.files import replacing
 
 Boundary = Literal["window", "sample"]
 Lengths = tuple[float, float, float]
@@ -131,3 +132,19 @@ def read_corrections(path: str | Path) -> Corrections:
         else:
             exclusions.append(Exclusion(boundary, *values))
     return Corrections(tuple(anchors), tuple(exclusions))
+
+
+def write_corrections(corrections: Corrections, path: str | Path) -> None:
+    """Write a text file of corrections, which :func:`read_corrections` reads to the last digit.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    lines = ["# mm; anchor: x y z, exclude: x from, to, y from, to"]
+    for kind, entries in (("anchor", corrections.anchors), ("exclude", corrections.exclusions)):
+        for boundary, *numbers in entries:
+            lines.append(" ".join([kind, boundary, *(repr(float(n)) for n in numbers)]))
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,0 +1,153 @@
+"""Thickness and stress of a study from what is in memory.
+
+The stages do the same between files, and whoever keeps the layer at hand does it without.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import xarray as xr
+
+from optical_palpation.palpation import computational_stress
+from optical_palpation.palpation.result import StressResult
+from optical_palpation.study.inputs import by_side, sample_motion
+from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
+from optical_palpation.thickness import (
+    clean_thickness,
+    lateral_shift,
+    match_initial_thickness,
+    read_thickness_map,
+    shift_map,
+    thickness_map,
+)
+
+
+def thickness_of(study: Study, found: Mapping[str, xr.Dataset]) -> xr.Dataset:
+    """Loaded and initial thickness on the pixels of the loaded map, without gaps.
+
+    Parameters
+    ----------
+    study
+        Its maps are read, its numbers taken.
+    found
+        Boundaries in its volumes, by ``unloaded`` and ``loaded``
+        (:func:`~optical_palpation.study.find_boundaries`).
+
+    Returns
+    -------
+    xarray.Dataset
+        ``loaded_thickness`` and ``initial_thickness`` in mm on ``(y, x)``, what of them was
+        ``filled`` and ``initial_filled``, and of a volume the ``quality``.
+
+    Raises
+    ------
+    InputError
+        If a map cannot be used, or the two do not fit together.
+    """
+    loaded, quality = _measured(study, "loaded", study.loaded, found, study.layer.extent)
+    cleaned = clean_thickness(loaded)
+    how = {
+        side: {key: json.loads(found[side].attrs[key]) for key in ("volume", "parameters")}
+        for side in by_side(study)
+    }
+    attrs = cleaned.attrs | {"boundaries": json.dumps(how)}
+    here = {"y": loaded["y"], "x": loaded["x"]}
+    if isinstance(study.unloaded, NumberInput):
+        initial: Any = study.unloaded.thickness
+        made_up = xr.zeros_like(cleaned["filled"])
+        source = {}
+    else:
+        unloaded, _ = _measured(study, "unloaded", study.unloaded, found, None)
+        source = {k: v for k, v in unloaded.attrs.items() if k.startswith("source")}
+        if study.layer.registration:
+            shift = lateral_shift(loaded, unloaded)
+            unloaded = shift_map(unloaded, shift)
+            attrs["registration_shift_mm"] = list(shift)  # y, x
+        whole = clean_thickness(unloaded)
+        initial = whole["thickness"]
+        made_up = whole["filled"].reindex(here, method="nearest")
+    matched = match_initial_thickness(initial, cleaned["thickness"])
+    matched.attrs |= source
+    if isinstance(study.loaded, VolumeInput):
+        attrs["specular_share"] = found["loaded"].attrs["specular_share"]
+    result = xr.Dataset(
+        {
+            "loaded_thickness": cleaned["thickness"],
+            "filled": cleaned["filled"],
+            "initial_thickness": matched,
+            "initial_filled": made_up,
+        },
+        attrs=attrs | {"initial_filled_share": float(made_up.mean())},
+    )
+    if quality is not None:
+        result["quality"] = quality.where(~cleaned["filled"].values, 0.0)
+    return result
+
+
+def stress_of(
+    study: Study, thickness: xr.Dataset, progress: Callable[[Any], None] | None = None
+) -> StressResult:
+    """Tactile stress by the computational method.
+
+    Parameters
+    ----------
+    study
+        Material, friction, grid and the motion of the sample.
+    thickness
+        As from :func:`thickness_of`.
+    progress
+        As for :func:`~optical_palpation.palpation.computational_stress`.
+
+    Raises
+    ------
+    InputError, MaterialError, ConvergenceError
+        As that function does.
+    """
+    loaded = thickness["loaded_thickness"]
+    result = computational_stress(
+        loaded,
+        thickness["initial_thickness"],
+        study.material.make(),
+        window_friction=study.friction.window,
+        sample_friction=study.friction.sample,
+        sample_motion=sample_motion(study, loaded),
+        progress=progress,
+        **study.grid.model_dump(),
+    )
+    return with_thickness(result, thickness)
+
+
+def with_thickness(result: StressResult, thickness: xr.Dataset) -> StressResult:
+    """Let what is known about the thickness go with the stress."""
+    maps = result.maps
+    here = {axis: maps[axis] for axis in "yx"}
+    for name in ("filled", "quality"):
+        if name in thickness:
+            maps[name] = thickness[name].reindex(here, method="nearest")
+    of_file = ("software", "software_version", "axis_order")  # a result says these itself
+    maps.attrs |= {key: v for key, v in thickness.attrs.items() if key not in of_file}
+    for key, value in thickness["initial_thickness"].attrs.items():
+        if key.startswith("source"):
+            maps.attrs[key.replace("source", "initial_thickness_input")] = value
+    return result
+
+
+def _measured(
+    study: Study,
+    side: str,
+    source: VolumeInput | MapInput,
+    found: Mapping[str, xr.Dataset],
+    extent: Any,
+) -> tuple[xr.DataArray, xr.DataArray | None]:
+    """Thickness as measured, NaN where it was not, and its quality where there is one."""
+    if isinstance(source, MapInput):
+        given = source.model_dump(exclude={"map"})
+        return read_thickness_map(study.path(source.map), layer_extent=extent, **given), None
+    layer = found[side]
+    seen = layer["thickness"].where(~layer["filled"])
+    measured = thickness_map(seen, x=layer["x"], y=layer["y"], layer_extent=extent)
+    measured.attrs |= {key: layer.attrs[key] for key in ("source", "source_sha256")}
+    return measured, layer["quality"]
