@@ -12,7 +12,7 @@ from optical_palpation.analysis.layer_uncertainty import stress_uncertainty
 from optical_palpation.analysis.profile import line_profile
 from optical_palpation.analysis.regions import Region, region_statistics
 from optical_palpation.analysis.resolution import EdgeResponse, edge_response
-from optical_palpation.analysis.roi_files import read_regions
+from optical_palpation.analysis.roi_files import read_regions, write_regions
 from optical_palpation.analysis.uncertainty import Noise, propagate_uncertainty
 
 __all__ = [
@@ -33,4 +33,5 @@ __all__ = [
     "read_regions",
     "region_statistics",
     "stress_uncertainty",
+    "write_regions",
 ]

@@ -97,11 +97,29 @@ class Region:
         """
         if not min(semi_axes) > 0.0:
             raise InputError(f"region {name!r}: semi-axes must be positive, found {semi_axes}")
-        angle = np.linspace(0.0, 2 * np.pi, _CORNERS, endpoint=False)
-        unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        # a polygon of the ellipse's area, not one inscribed in it
-        unit *= np.sqrt(2 * np.pi / _CORNERS / np.sin(2 * np.pi / _CORNERS))
-        return cls.polygon(name, np.asarray(centre) + unit * np.asarray(semi_axes))
+        return cls.polygon(name, np.asarray(centre) + _unit_circle() * np.asarray(semi_axes))
+
+    @classmethod
+    def ellipse_in_box(cls, name: str, corners: ArrayLike) -> Region:
+        """Region within the ellipse that fits into a box, which may be turned.
+
+        Parameters
+        ----------
+        name
+            What to call it.
+        corners
+            The four corners of the box, ``(4, 2)`` of x and y in mm, in order.
+
+        Raises
+        ------
+        InputError
+            If they are no such corners.
+        """
+        box = cls.polygon(name, corners).outlines[0]
+        if len(box) != 4:
+            raise InputError(f"region {name!r}: the box of an ellipse has four corners")
+        half = np.stack([(box[1] - box[0]) / 2, (box[2] - box[1]) / 2])
+        return cls.polygon(name, box.mean(0) + _unit_circle() @ half)
 
     @classmethod
     def of_mask(cls, name: str, mask: xr.DataArray) -> Region:
@@ -167,6 +185,13 @@ class Region:
         blocks = inside.reshape(rows.size, _POINTS, columns.size, _POINTS)
         shares[np.ix_(rows, columns)] = blocks.mean(axis=(1, 3))
         return shares
+
+
+def _unit_circle() -> NDArray[np.float64]:
+    """Polygon of the area of the unit circle, not one inscribed in it."""
+    angle = np.linspace(0.0, 2 * np.pi, _CORNERS, endpoint=False)
+    unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return unit * np.sqrt(2 * np.pi / _CORNERS / np.sin(2 * np.pi / _CORNERS))
 
 
 def region_statistics(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from optical_palpation.analysis.maps import check_map, pixel_size
 from optical_palpation.analysis.regions import Region
 from optical_palpation.errors import InputError
+from optical_palpation.files import replacing
 
 _ENDINGS = ".roi or .zip (ImageJ), .csv (napari, or name, x_mm, y_mm), .tif, .png or .npy (masks)"
 _LARGEST = 50_000_000  # bytes; an outline is a thousandth of that
@@ -141,12 +143,8 @@ def _table(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
             if kind in ("line", "path"):
                 raise InputError(f"{path}: shape {number} is a {kind}, which has no area")
             placed = _placed(corners, field)
-            if kind == "ellipse":  # saved as the four corners of its box, which may be turned
-                centre = placed.mean(0)
-                turn = [(placed[1] - placed[0]) / 2, (placed[2] - placed[1]) / 2]
-                unit = Region.ellipse("unit", (0.0, 0.0), (1.0, 1.0)).outlines[0]
-                placed = centre + unit @ np.stack(turn)
-            regions.append(Region.polygon(f"{kind} {number}", placed))
+            make = Region.ellipse_in_box if kind == "ellipse" else Region.polygon
+            regions.append(make(f"{kind} {number}", placed))
         return regions
     if not {"name", "x_mm", "y_mm"} <= set(table.columns):
         raise InputError(
@@ -203,3 +201,25 @@ def _numbered(regions: list[Region]) -> list[Region]:
             name = f"{name} {counts[name]}"
         result.append(Region(name, region.outlines, region.mask))
     return result
+
+
+def write_regions(regions: Sequence[Region], path: str | os.PathLike[str]) -> None:
+    """Write outlines as a table of ``name``, ``x_mm`` and ``y_mm``, as :func:`read_regions` reads.
+
+    Raises
+    ------
+    InputError
+        If a region is a mask or has several outlines, which such a table cannot hold.
+    OutputError
+        If the file cannot be written.
+    """
+    for region in regions:
+        if len(region.outlines) != 1:
+            raise InputError(f"region {region.name!r}: has no single outline that could be written")
+    rows = [
+        pd.DataFrame({"name": region.name, "x_mm": outline[:, 0], "y_mm": outline[:, 1]})
+        for region in regions
+        for outline in region.outlines
+    ]
+    with replacing(path) as temporary:
+        pd.concat(rows).to_csv(temporary, index=False)

@@ -67,13 +67,13 @@ def term(maps: xr.Dataset, name: str) -> Term:
     """Return what a map is called: by the table here, else by its own attributes."""
     field = maps[name]
     units = str(field.attrs.get("units", ""))
+    units = "" if units == "1" else units
     if (known := _TERMS.get(name)) is not None:
         if name == "axial_stress" and "contact_pressure" in maps:
             return replace(known, words="Axial stress, computational")
         return replace(known, units=units or known.units)
     words = str(field.attrs.get("long_name", name)).replace("_", " ")
     words = words[:1].upper() + words[1:]
-    units = "" if units == "1" else units
     if "flag_meanings" in field.attrs:
         return Term(words, "", "states", name)
     if field.dtype.kind == "b":

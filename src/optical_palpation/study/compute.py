@@ -11,7 +11,8 @@ from typing import Any
 
 import xarray as xr
 
-from optical_palpation.palpation import computational_stress
+from optical_palpation.palpation import algebraic_result, computational_stress
+from optical_palpation.palpation.plausibility import check_stress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.study.inputs import by_side, sample_motion
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
@@ -87,6 +88,28 @@ def thickness_of(study: Study, found: Mapping[str, xr.Dataset]) -> xr.Dataset:
     return result
 
 
+def algebraic_of(study: Study, thickness: xr.Dataset) -> StressResult:
+    """Tactile stress by the algebraic method, on the pixels of the loaded thickness.
+
+    Parameters
+    ----------
+    study
+        Its material counts.
+    thickness
+        As from :func:`thickness_of`.
+
+    Raises
+    ------
+    MaterialError, InputError
+        If the layer cannot be compressed so far, or the stress cannot be that of a soft layer.
+    """
+    result = algebraic_result(
+        thickness["loaded_thickness"], thickness["initial_thickness"], study.material.make()
+    )
+    check_stress(result.maps["axial_stress"])
+    return _with_thickness(result, thickness)
+
+
 def stress_of(
     study: Study, thickness: xr.Dataset, progress: Callable[[Any], None] | None = None
 ) -> StressResult:
@@ -117,10 +140,10 @@ def stress_of(
         progress=progress,
         **study.grid.model_dump(),
     )
-    return with_thickness(result, thickness)
+    return _with_thickness(result, thickness)
 
 
-def with_thickness(result: StressResult, thickness: xr.Dataset) -> StressResult:
+def _with_thickness(result: StressResult, thickness: xr.Dataset) -> StressResult:
     """Let what is known about the thickness go with the stress."""
     maps = result.maps
     here = {axis: maps[axis] for axis in "yx"}

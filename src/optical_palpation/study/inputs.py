@@ -130,7 +130,7 @@ class Unchanged:
 
     def __init__(self, study: Study) -> None:
         self._study = study
-        self._before = {path: _state(path) for path in _paths(study)}
+        self._before = {path: file_state(path) for path in _paths(study)}
 
     def __call__(self) -> None:
         """Raise if a file has changed.
@@ -141,7 +141,7 @@ class Unchanged:
             With the name of the file.
         """
         for path, before in self._before.items():
-            if _state(path) != before:
+            if file_state(path) != before:
                 raise InputError(
                     f"{path} has changed while the study was worked on: the results would mix what "
                     "it was with what it is. Nothing made of the change was kept; run the study "
@@ -159,7 +159,7 @@ def _paths(study: Study) -> Iterator[Path]:
         yield study.path(study.sample.motion)
 
 
-def _state(path: Path) -> list[tuple[str, int, int, int]] | None:
+def file_state(path: Path) -> list[tuple[str, int, int, int]] | None:
     """What tells that a file, or one in a folder, was written to or replaced; None: it is gone."""
     try:
         files = sorted(path.rglob("*")) if path.is_dir() else [path]

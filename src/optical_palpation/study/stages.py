@@ -18,10 +18,8 @@ import xarray as xr
 
 from optical_palpation import present
 from optical_palpation.files import readable_name
-from optical_palpation.palpation import algebraic_result
-from optical_palpation.palpation.plausibility import check_stress
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.study.compute import stress_of, thickness_of, with_thickness
+from optical_palpation.study.compute import algebraic_of, stress_of, thickness_of
 from optical_palpation.study.inputs import (
     by_side,
     find_boundaries,
@@ -131,13 +129,7 @@ class Stages:
     def _algebraic(self, path: Path, tell: Tell) -> None:
         tell(Progress("algebraic stress", 0.0))
         thickness = xr.load_dataset(path.with_name(THICKNESS), engine="h5netcdf")
-        result = algebraic_result(
-            thickness["loaded_thickness"],
-            thickness["initial_thickness"],
-            self.study.material.make(),
-        )
-        check_stress(result.maps["axial_stress"])
-        present.write_result(with_thickness(result, thickness), path)
+        present.write_result(algebraic_of(self.study, thickness), path)
 
     def _computational(self, path: Path, tell: Tell) -> None:
         thickness = xr.load_dataset(path.with_name(THICKNESS), engine="h5netcdf")

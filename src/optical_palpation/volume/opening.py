@@ -114,6 +114,15 @@ def open_volume(
         raise
 
 
+def is_known(path: Path) -> bool:
+    """Tell by its first bytes whether a file, or a folder, is of a format of volumes."""
+    try:
+        head = _head(path)
+    except InputError:
+        return False
+    return any(reader.recognises(path, head) for reader in READERS)
+
+
 def open_contents(
     path: Path,
     wanted: str | None = None,

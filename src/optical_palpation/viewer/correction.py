@@ -1,0 +1,190 @@
+"""Part of the panel: corrections with the mouse, as the file of corrections holds them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from qtpy.QtWidgets import QComboBox, QFileDialog, QFormLayout, QGroupBox, QHBoxLayout, QPushButton
+
+from optical_palpation.errors import OpticalPalpationError
+from optical_palpation.thickness import Corrections, read_corrections, write_corrections
+from optical_palpation.viewer.layers import (
+    COLOURS,
+    anchor_layer,
+    corrections_from,
+    exclusion_layer,
+)
+from optical_palpation.viewer.measurement import show_found
+from optical_palpation.viewer.workbench import Workbench
+
+
+class Correction(QGroupBox):
+    """Anchors on B-scans, excluded rectangles on maps, and finding the layer again."""
+
+    def __init__(self, bench: Workbench) -> None:
+        super().__init__("Correct the boundaries")
+        self._bench = bench
+        form = QFormLayout(self)
+        self.side, self.boundary = QComboBox(), QComboBox()
+        self.side.addItems(["loaded", "unloaded"])
+        self.boundary.addItems(["sample", "window"])
+        self.boundary.currentTextChanged.connect(self._choose)
+        form.addRow("volume", self.side)
+        form.addRow("boundary", self.boundary)
+        row = QHBoxLayout()
+        for text, tip, call in (
+            ("Set anchors", "click on a B-scan where the boundary passes", self.draw_anchors),
+            ("Exclude", "draw rectangles on a map where the boundary is not seen", self.exclude),
+        ):
+            button = QPushButton(text)
+            button.setToolTip(tip)
+            button.clicked.connect(call)
+            row.addWidget(button)
+        form.addRow(row)
+        self.again = QPushButton("Find again")
+        self.again.setToolTip("only what the corrections change")
+        self.again.clicked.connect(lambda: self.find_again())
+        form.addRow(self.again)
+        row = QHBoxLayout()
+        for text, call in (("Load…", self._ask_to_load), ("Save…", self._ask_to_save)):
+            button = QPushButton(text)
+            button.clicked.connect(call)
+            row.addWidget(button)
+        form.addRow("file", row)
+        bench.opened.connect(self._clear)
+        bench.found.connect(self._show)
+
+    def draw_anchors(self) -> None:
+        """Let the mouse set anchors on the B-scans."""
+        side = self.side.currentText()
+        if self._ready(side):
+            self._bench.view_bscans(side)
+            layer = next(self._bench.layers("anchors", side))
+            self._begin(layer, "add")
+
+    def exclude(self) -> None:
+        """Let the mouse draw excluded rectangles on the maps."""
+        side = self.side.currentText()
+        if self._ready(side):
+            self._bench.view_maps([f"{side}: Thickness of the layer (mm)"])
+            self._begin(next(self._bench.layers("excluded", side)), "add_rectangle")
+
+    def drawn(self, side: str) -> Corrections:
+        """Corrections as they are drawn now.
+
+        Raises
+        ------
+        InputError
+            If one lies outside of the volume.
+        """
+        anchors = next(self._bench.layers("anchors", side))
+        excluded = next(self._bench.layers("excluded", side))
+        return corrections_from(
+            anchors.data,
+            list(anchors.features["boundary"]),
+            excluded.data,
+            list(excluded.features["boundary"]),
+            self._bench.session.frame(side),
+        )
+
+    def find_again(self) -> None:
+        """Find anew what the corrections of this volume change."""
+        bench, side = self._bench, self.side.currentText()
+        if not self._ready(side):
+            return
+        try:
+            corrections = self.drawn(side)
+        except OpticalPalpationError as error:
+            bench.said.emit(str(error))
+            return
+        session = bench.session
+
+        def compute(tell: Any) -> Any:
+            session.corrections[side] = corrections
+            return session.find(side, tell)
+
+        bench.background.run(compute, lambda found: show_found(bench, side, found))
+
+    def load(self, path: str) -> None:
+        """Take the corrections of a file for those of the chosen volume.
+
+        Raises
+        ------
+        InputError
+            If they cannot be read, or lie outside of the volume.
+        """
+        side = self.side.currentText()
+        frame = self._bench.session.frame(side)
+        corrections = read_corrections(path)
+        corrections.check_inside(frame.origin, frame.spacing, frame.shape)
+        self._replace(side, corrections)
+
+    def save(self, path: str) -> None:
+        """Write the corrections of the chosen volume, for ``optical-palpation thickness`` too.
+
+        Raises
+        ------
+        InputError, OutputError
+            If one lies outside of the volume, or the file cannot be written.
+        """
+        write_corrections(self.drawn(self.side.currentText()), path)
+
+    def _begin(self, layer: Any, mode: str) -> None:
+        self._bench.viewer.layers.selection.active = layer
+        layer.mode = mode
+        self._choose()
+
+    def _choose(self) -> None:
+        """Let what is drawn next belong to the chosen boundary."""
+        boundary = self.boundary.currentText()
+        for kind in ("anchors", "excluded"):
+            for layer in self._bench.layers(kind):
+                layer.selected_data = set()  # else the features of these would change
+                if kind == "anchors":
+                    layer.current_face_color = COLOURS[boundary]
+                else:
+                    layer.current_edge_color = COLOURS[boundary]
+                layer.feature_defaults = {"boundary": boundary}
+
+    def _ready(self, side: str) -> bool:
+        try:
+            self._bench.session.frame(side)
+        except OpticalPalpationError as error:
+            self._bench.said.emit(str(error))
+            return False
+        return True
+
+    def _show(self, side: str) -> None:
+        """Make the layers to draw on, once the layer has been found."""
+        if not list(self._bench.layers("anchors", side)):
+            self._replace(side, self._bench.session.corrections.get(side, Corrections()))
+
+    def _replace(self, side: str, corrections: Corrections) -> None:
+        bench = self._bench
+        for kind in ("anchors", "excluded"):
+            for layer in list(bench.layers(kind, side)):
+                bench.viewer.layers.remove(layer)
+        frame = bench.session.frame(side)
+        bench.show([anchor_layer(corrections, frame, side), exclusion_layer(corrections, side)])
+        self._choose()
+
+    def _clear(self) -> None:
+        """Forget what was drawn for another study."""
+        for kind in ("anchors", "excluded", "boundary"):
+            for layer in list(self._bench.layers(kind)):
+                self._bench.viewer.layers.remove(layer)
+
+    def _ask_to_load(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Corrections", filter="*.txt;;*")
+        self._try(self.load, path)
+
+    def _ask_to_save(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Corrections", "corrections.txt")
+        self._try(self.save, path)
+
+    def _try(self, call: Any, path: str) -> None:
+        if path:
+            try:
+                call(path)
+            except (OpticalPalpationError, StopIteration) as error:
+                self._bench.said.emit(str(error) or "find the layer first")

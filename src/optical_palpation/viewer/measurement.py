@@ -1,0 +1,240 @@
+"""Part of the panel: which volumes, how the layer shows in them, and finding it."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import Any
+
+from qtpy.QtWidgets import (
+    QComboBox,
+    QFileDialog,
+    QFormLayout,
+    QGroupBox,
+    QHBoxLayout,
+    QLineEdit,
+    QPushButton,
+    QWidget,
+)
+from superqt import QCollapsible
+
+from optical_palpation.errors import InputError
+from optical_palpation.study.reading import as_toml
+from optical_palpation.viewer.layers import KEY, boundary_layers, map_layers, volume_layer
+from optical_palpation.viewer.numbers import Number
+from optical_palpation.viewer.session import SIDES
+from optical_palpation.viewer.workbench import Workbench
+from optical_palpation.volume import open_volume
+
+#: Keys of a study file that tell what a file does not say of itself.
+_HOW = {
+    "axes": ("yzx", "order of the axes, slowest first"),
+    "spacing": ("{ z = 0.0035, y = 0.01, x = 0.01 }", "mm between samples"),
+    "scale": ("linear", "linear or dB"),
+    "refractive_index": ("1.4", "where the depth is an optical path"),
+    "variable": ("", "name of the array, of several"),
+}
+_NUMBER = "a thickness"
+_MAPS = ("thickness", "quality", "filled")
+
+
+class Measurement(QGroupBox):
+    """Inputs of the study, and the layer in them."""
+
+    def __init__(self, bench: Workbench) -> None:
+        super().__init__("Measurement")
+        self._bench = bench
+        form = QFormLayout(self)
+        self.how = {key: QLineEdit() for key in _HOW}
+        opened = QPushButton("Open volume…")
+        opened.setToolTip("A volume that does not say enough about itself: fill in what it lacks")
+        opened.clicked.connect(self._ask_for_volume)
+        form.addRow(opened)
+        unsaid = QWidget()
+        fields = QFormLayout(unsaid)
+        for key, (example, meaning) in _HOW.items():
+            self.how[key].setPlaceholderText(example)
+            self.how[key].setToolTip(f"{meaning}; only where the file does not say")
+            fields.addRow(key.replace("_", " "), self.how[key])
+        folded = QCollapsible("What the file does not say")
+        folded.addWidget(unsaid)
+        form.addRow(folded)
+        self.choice = {side: QComboBox() for side in SIDES}
+        self.thickness = Number(0.0, 100.0, (0.0, 2.0), "mm", 4)
+        form.addRow("loaded", self.choice["loaded"])
+        form.addRow("unloaded", self.choice["unloaded"])
+        form.addRow("  thickness", self.thickness)
+        self.window_edge, self.sample_edge = QComboBox(), QComboBox()
+        self.window_edge.addItems(["line", "fall", "rise"])
+        self.window_edge.setEditable(True)
+        self.window_edge.setToolTip(
+            "how the window side shows: a bright line, a fall from bright to dark; or its depth "
+            "in mm where it is known"
+        )
+        self.sample_edge.addItems(["rise", "line", "fall"])
+        self.sample_edge.setToolTip("how the sample side shows: a rise to scattering, or a line")
+        form.addRow("window side", self.window_edge)
+        form.addRow("sample side", self.sample_edge)
+        row = QHBoxLayout()
+        self.find_button = QPushButton("Find the layer")
+        self.find_button.clicked.connect(lambda: self.find_layer())
+        self.side = QComboBox()
+        self.side.addItems(["loaded", "unloaded"])
+        bscans, maps = QPushButton("B-scans"), QPushButton("Maps")
+        bscans.setToolTip("show the B-scans of the volume, with the boundaries")
+        maps.setToolTip("show the maps, seen along the light")
+        bscans.clicked.connect(lambda: bench.view_bscans(self.side.currentText()))
+        maps.clicked.connect(lambda: bench.view_maps())
+        for part in (self.side, bscans, maps):
+            row.addWidget(part)
+        form.addRow(self.find_button)
+        form.addRow("show", row)
+        bench.opened.connect(self._show)
+        for event in ("inserted", "removed"):
+            getattr(bench.viewer.layers.events, event).connect(lambda _: self._list())
+        self._list()
+
+    def open(self, path: str) -> None:
+        """Open a volume as the fields above describe it.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read, or does still not say enough.
+        """
+        how = self._given()
+        volume = open_volume(path, **how)
+        self._bench.show([volume_layer(volume, path, how)])
+
+    def apply(self) -> None:
+        """Put what is chosen into the study.
+
+        Raises
+        ------
+        InputError
+            If the loaded layer has not been chosen.
+        """
+        session = self._bench.session
+        for side in reversed(SIDES):  # the loaded layer first: without it there is no study
+            chosen = self.choice[side].currentData()
+            if chosen == _NUMBER:
+                value = self.thickness.value()
+                if value is None or value == 0:
+                    raise InputError("give the thickness of the unloaded layer in mm, or a volume")
+                session.change({side: {"thickness": value}})
+            elif isinstance(chosen, dict):
+                if session.input(side).get("volume") != chosen["volume"]:
+                    session.change({side: dict(chosen)})
+                    session.corrections.pop(side, None)
+                own = {"window": self._window(), "sample": self.sample_edge.currentText()}
+                before = session.input(side)
+                session.change(
+                    {f"{side}.{k}": v for k, v in own.items() if before.get(k, _USUAL[k]) != v}
+                )
+            elif not session.input(side):
+                raise InputError(f"choose the {side} layer: drop its volume on napari first")
+
+    def find_layer(self) -> None:
+        """Find the layer in the volumes of the study, and show it."""
+        bench = self._bench
+        try:
+            self.apply()
+        except InputError as error:
+            bench.said.emit(str(error))
+            return
+        sides = [side for side in reversed(SIDES) if "volume" in bench.session.input(side)]
+
+        def then(found: dict[str, Any]) -> None:
+            for side, layer in found.items():
+                show_found(bench, side, layer)
+            if found:
+                bench.view_bscans(next(iter(found)))
+
+        session = bench.session
+        bench.background.run(lambda tell: {side: session.find(side, tell) for side in sides}, then)
+
+    def _window(self) -> str | float:
+        text = self.window_edge.currentText()
+        try:
+            return float(text)
+        except ValueError:
+            return text
+
+    def _given(self) -> dict[str, Any]:
+        how: dict[str, Any] = {}
+        for key, field in self.how.items():
+            if text := field.text().strip():
+                try:
+                    how[key] = tomllib.loads(f"value = {text}")["value"]
+                except tomllib.TOMLDecodeError:
+                    how[key] = text
+        return how
+
+    def _ask_for_volume(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "OCT volume")
+        if path:
+            try:
+                self.open(path)
+            except InputError as error:
+                self._bench.said.emit(str(error))
+
+    def _list(self) -> None:
+        """Offer the volumes that napari shows; keep what was chosen."""
+        volumes = list(self._bench.layers("volume"))
+        for side, box in self.choice.items():
+            given = self._bench.session.input(side)
+            chosen = box.currentData() or ({"volume": given["volume"]} if "volume" in given else "")
+            file = chosen.get("volume") if isinstance(chosen, dict) else None
+            box.blockSignals(True)
+            box.clear()
+            for layer in volumes:
+                box.addItem(layer.name, layer.metadata[KEY]["input"])
+            if "map" in given:
+                box.addItem(self._bench.title(given), "map")
+            if side == "unloaded":
+                box.addItem(_NUMBER, _NUMBER)
+            entries = [box.itemData(k) for k in range(box.count())]
+            same = [
+                k
+                for k, entry in enumerate(entries)
+                if entry == chosen or (isinstance(entry, dict) and entry["volume"] == file)
+            ]
+            same += [k for k in range(box.count()) if _named(side, box.itemText(k))]
+            box.setCurrentIndex(same[0] if same else 0)
+            box.blockSignals(False)
+
+    def _show(self) -> None:
+        """Show what another study says."""
+        for box in self.choice.values():
+            box.clear()
+        self._list()
+        session = self._bench.session
+        unloaded = session.input("unloaded")
+        if "thickness" in unloaded:
+            box = self.choice["unloaded"]
+            box.setCurrentIndex(box.findData(_NUMBER))
+            self.thickness.set(unloaded["thickness"])
+        if "map" in unloaded:
+            self.choice["unloaded"].setCurrentIndex(self.choice["unloaded"].findData("map"))
+        loaded = session.input("loaded")
+        self.window_edge.setCurrentText(str(loaded.get("window", _USUAL["window"])))
+        self.sample_edge.setCurrentText(loaded.get("sample", _USUAL["sample"]))
+        for key, field in self.how.items():
+            field.setText(as_toml(loaded[key]).strip('"') if key in loaded else "")
+
+
+_USUAL = {"window": "line", "sample": "rise"}
+
+
+def _named(side: str, name: str) -> bool:
+    loaded = "unloaded" not in name.lower() and "loaded" in name.lower()
+    return loaded if side == "loaded" else "unloaded" in name.lower()
+
+
+def show_found(bench: Workbench, side: str, found: Any) -> None:
+    """Show the layer that was found in a volume."""
+    bench.show(boundary_layers(found, bench.session.frame(side), side))
+    maps = map_layers(found, f"{side}: ", only=_MAPS)
+    for layer in maps:  # they would cover the B-scans
+        layer.keywords["visible"] = False
+    bench.show(maps)
+    bench.found.emit(side)

@@ -1,0 +1,93 @@
+"""A number with a unit that is typed or dragged, and that may not be known yet."""
+
+from __future__ import annotations
+
+from qtpy.QtCore import Qt, Signal
+from qtpy.QtWidgets import QDoubleSpinBox, QHBoxLayout, QSlider, QWidget
+
+_STEPS = 200
+_ABSENT = "?"
+
+
+class Number(QWidget):
+    """A spin box with a slider beside it; without a value until one is given.
+
+    Parameters
+    ----------
+    low, high
+        What can be typed.
+    reach
+        What the slider spans; it grows where a value lies beyond.
+    unit
+        Shown after the number.
+    decimals
+        Digits after the point.
+    value
+        To begin with; None where only the user knows.
+    """
+
+    changed = Signal()
+
+    def __init__(
+        self,
+        low: float,
+        high: float,
+        reach: tuple[float, float],
+        unit: str = "",
+        decimals: int = 3,
+        value: float | None = None,
+    ) -> None:
+        super().__init__()
+        self._reach = reach
+        self._box = QDoubleSpinBox()
+        self._box.setDecimals(decimals)
+        step = 10.0**-decimals
+        self._absent = low - step  # one step below all that is allowed: nothing yet
+        self._box.setRange(self._absent, high)
+        self._box.setSpecialValueText(_ABSENT)
+        self._box.setSingleStep(max(step, (reach[1] - reach[0]) / 100))
+        self._box.setSuffix(f" {unit}" if unit else "")
+        self._box.setKeyboardTracking(False)
+        self._box.setFixedWidth(125)
+        self._slider = QSlider(Qt.Orientation.Horizontal)
+        self._slider.setRange(0, _STEPS)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.addWidget(self._slider, 1)
+        row.addWidget(self._box)
+        self.set(value)
+        self._box.valueChanged.connect(self._typed)
+        self._slider.valueChanged.connect(self._dragged)
+
+    def value(self) -> float | None:
+        """The number, None as long as there is none."""
+        value = self._box.value()
+        return None if value <= self._absent else value
+
+    def set(self, value: float | None) -> None:
+        """Show another number, without a signal; one of more digits than are shown is rounded."""
+        self._box.blockSignals(True)
+        self._box.setValue(self._absent if value is None else value)
+        self._box.blockSignals(False)
+        self._follow()
+
+    def _follow(self) -> None:
+        value = self.value()
+        if value is not None:
+            self._reach = min(self._reach[0], value), max(self._reach[1], value)
+        low, high = self._reach
+        share = 0.0 if value is None else (value - low) / (high - low)
+        self._slider.blockSignals(True)
+        self._slider.setValue(round(_STEPS * share))
+        self._slider.blockSignals(False)
+
+    def _typed(self) -> None:
+        self._follow()
+        self.changed.emit()
+
+    def _dragged(self, at: int) -> None:
+        low, high = self._reach
+        self._box.blockSignals(True)
+        self._box.setValue(low + (high - low) * at / _STEPS)
+        self._box.blockSignals(False)
+        self.changed.emit()

@@ -1,0 +1,68 @@
+"""Readers: what napari calls when a file is dropped on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from optical_palpation.errors import InputError
+from optical_palpation.present.terms import is_map
+from optical_palpation.viewer.layers import Layer, map_layers, volume_layer
+from optical_palpation.volume import open_volume
+from optical_palpation.volume.opening import is_known
+
+Read = Callable[[Any], list[Layer]]
+
+
+def volume_reader(path: str | list[str]) -> Read | None:
+    """Return the reader of an OCT volume, or None for what is of no known format.
+
+    A file that does not say how its axes lie or how far its samples are apart is claimed all the
+    same; reading it tells what is missing and where to give it.
+    """
+    if isinstance(path, list) or map_reader(path) or not is_known(Path(path)):
+        return None
+    return read_volume
+
+
+def read_volume(path: str) -> list[Layer]:
+    """Read an OCT volume as a layer in mm.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or does not say enough about itself.
+    """
+    try:
+        volume = open_volume(path)
+    except InputError as error:
+        raise InputError(f"{error} In napari: Plugins, Optical palpation, Open volume") from error
+    return [volume_layer(volume, str(Path(path).resolve()))]
+
+
+def map_reader(path: str | list[str]) -> Read | None:
+    """Return the reader of a result, a thickness map or boundaries, None if it is something else.
+
+    These are the NetCDF files that this project writes.
+    """
+    if isinstance(path, list) or Path(path).suffix.lower() != ".nc":
+        return None
+    try:
+        with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as file:
+            fields = list(file.data_vars.values())
+    except Exception:  # whatever the libraries make of what is no such file
+        return None
+    volumes = [field for field in fields if len(field.dims) > 2]
+    return read_maps if any(map(is_map, fields)) and not volumes else None
+
+
+def read_maps(path: str) -> list[Layer]:
+    """Read all maps of a NetCDF file as layers in mm."""
+    maps = xr.load_dataset(path, engine="h5netcdf", decode_times=False)
+    layers = map_layers(maps, f"{Path(path).stem}: ")
+    for layer in layers[:-1]:  # they lie on each other
+        layer.keywords["visible"] = False
+    return layers

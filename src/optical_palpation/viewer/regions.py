@@ -1,0 +1,238 @@
+"""Part of the panel: regions of interest, drawn on the maps, and what the maps say there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from qtpy.QtCore import QTimer
+from qtpy.QtWidgets import (
+    QAbstractItemView,
+    QComboBox,
+    QFileDialog,
+    QGroupBox,
+    QHBoxLayout,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+)
+
+from optical_palpation.analysis import Region, read_regions, region_statistics, write_regions
+from optical_palpation.errors import InputError, OpticalPalpationError
+from optical_palpation.present.tables import write_table
+from optical_palpation.present.terms import is_map, term
+from optical_palpation.viewer.layers import region_layer, regions_from
+from optical_palpation.viewer.workbench import Workbench
+
+_COLUMNS = {
+    "mean": "mean",
+    "minimum": "lowest",
+    "maximum": "highest",
+    "force": "force",
+    "contrast": "contrast",
+    "area": "area",
+}
+_WAIT = 200  # ms
+
+
+class Regions(QGroupBox):
+    """A table of what a map says in the shapes that are drawn on it."""
+
+    def __init__(self, bench: Workbench) -> None:
+        super().__init__("Regions of interest")
+        self._bench = bench
+        box = QVBoxLayout(self)
+        self.variable = QComboBox()
+        self.variable.currentIndexChanged.connect(lambda _: self.update_table())
+        box.addWidget(self.variable)
+        row = QHBoxLayout()
+        for text, tip, call in (
+            ("Draw", "draw rectangles, ellipses or polygons on a map", self.draw),
+            ("Name", "call the chosen shapes by the text below", self.name_selected),
+        ):
+            button = QPushButton(text)
+            button.setToolTip(tip)
+            button.clicked.connect(lambda _=False, call=call: call())
+            row.addWidget(button)
+        self.name = QComboBox()
+        self.name.setEditable(True)
+        row.addWidget(self.name)
+        box.addLayout(row)
+        self.table = QTableWidget(0, len(_COLUMNS))
+        self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.table.setMinimumHeight(110)
+        box.addWidget(self.table)
+        row = QHBoxLayout()
+        for text, tip, ask in (
+            ("Load…", "regions of ImageJ, napari, masks or outlines", self._ask_to_load),
+            ("Save regions…", "outlines, for 'optical-palpation regions'", self._ask_for_regions),
+            ("Save table…", "CSV", self._ask_for_table),
+        ):
+            button = QPushButton(text)
+            button.setToolTip(tip)
+            button.clicked.connect(lambda _=False, ask=ask: ask())
+            row.addWidget(button)
+        box.addLayout(row)
+        self._timer = QTimer(self)
+        self._timer.setSingleShot(True)
+        self._timer.setInterval(_WAIT)
+        self._timer.timeout.connect(self.update_table)
+        bench.solved.connect(self._list)
+        bench.opened.connect(self._list)
+        bench.viewer.layers.events.inserted.connect(lambda event: self._watch(event.value))
+
+    def draw(self, mode: str = "add_rectangle") -> None:
+        """Let the mouse draw regions."""
+        bench = self._bench
+        if bench.result is None:
+            bench.said.emit("solve first: regions are drawn on the stress")
+            return
+        if not list(bench.layers("regions")):
+            bench.show([region_layer()])
+        bench.view_maps([term(bench.result.maps, self.variable.currentData()).label])
+        layer = next(bench.layers("regions"))
+        bench.viewer.layers.selection.active = layer
+        layer.mode = mode
+
+    def regions(self) -> list[Region]:
+        """The regions that are drawn.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        layer = next(self._bench.layers("regions"), None)
+        if layer is None:
+            raise InputError("there are no regions yet")
+        return regions_from(layer.data, layer.shape_type, list(layer.features["name"]))
+
+    def name_selected(self) -> None:
+        """Give the shapes that are chosen in napari the name that was typed."""
+        layer = next(self._bench.layers("regions"), None)
+        if layer is not None and layer.selected_data:
+            features = layer.features.copy()
+            features.loc[list(layer.selected_data), "name"] = self.name.currentText()
+            layer.features = features
+            layer.refresh_text()
+            self.update_table()
+
+    def update_table(self) -> None:
+        """Read the map in the regions."""
+        result, variable = self._bench.result, self.variable.currentData()
+        self.table.setRowCount(0)
+        if result is None or variable is None:
+            return
+        try:
+            regions = self.regions()
+        except InputError:
+            return
+        try:
+            found = region_statistics(result.maps, regions, variable)
+        except InputError as error:
+            self._bench.said.emit(str(error))
+            return
+        columns = [name for name in _COLUMNS if name in found]
+        self.table.setColumnCount(len(columns))
+        units = [str(found[name].attrs.get("units", "1")) for name in columns]
+        self.table.setHorizontalHeaderLabels(
+            [f"{_COLUMNS[n]} ({u})" if u not in ("1", "") else _COLUMNS[n]
+             for n, u in zip(columns, units, strict=True)]
+        )  # fmt: skip
+        self.table.setRowCount(found.sizes["region"])
+        self.table.setVerticalHeaderLabels([str(name) for name in found["region"].values])
+        for row in range(found.sizes["region"]):
+            for column, name in enumerate(columns):
+                value = float(found[name][row])
+                text = f"{value:.4g}" if np.isfinite(value) else ""
+                self.table.setItem(row, column, QTableWidgetItem(text))
+        self.table.resizeColumnsToContents()
+
+    def load(self, path: str) -> None:
+        """Show the regions of a file.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read, or its regions are masks, which have no outline.
+        """
+        bench = self._bench
+        if bench.result is None:
+            raise InputError("solve first: regions are drawn on the stress")
+        regions = read_regions(path, bench.result.maps)
+        if masks := [region.name for region in regions if not region.outlines]:
+            raise InputError(
+                f"{path}: {', '.join(masks[:5])} are masks, which cannot be drawn on; the command "
+                "'optical-palpation regions' reads them"
+            )
+        for layer in list(bench.layers("regions")):
+            bench.viewer.layers.remove(layer)
+        bench.show([region_layer(regions)])
+        self.update_table()
+
+    def save_regions(self, path: str) -> None:
+        """Write the outlines of the regions, which :func:`read_regions` reads.
+
+        Raises
+        ------
+        InputError, OutputError
+            If there is none, or the file cannot be written.
+        """
+        write_regions(self.regions(), path)
+
+    def save_table(self, path: str) -> None:
+        """Write the table as CSV.
+
+        Raises
+        ------
+        InputError, OutputError
+            If there is no region or no stress, or the file cannot be written.
+        """
+        if self._bench.result is None:
+            raise InputError("solve first: there is no stress yet")
+        maps = self._bench.result.maps
+        write_table(region_statistics(maps, self.regions(), self.variable.currentData()), path)
+
+    def _list(self) -> None:
+        """Offer the maps of the result."""
+        result = self._bench.result
+        before = self.variable.currentData()
+        self.variable.blockSignals(True)
+        self.variable.clear()
+        if result is not None:
+            names = [str(n) for n in result.maps.data_vars if is_map(result.maps[n])]
+            for name in names:
+                about = term(result.maps, name)
+                if about.colours not in ("states", "flags"):
+                    self.variable.addItem(about.label, name)
+            at = self.variable.findData(before or "axial_stress")
+            self.variable.setCurrentIndex(max(at, 0))
+        self.variable.blockSignals(False)
+        self.update_table()
+
+    def _watch(self, layer: object) -> None:
+        """Keep the table true to what is drawn."""
+        if layer in list(self._bench.layers("regions")):
+            layer.events.data.connect(lambda _: self._timer.start())  # type: ignore[attr-defined]
+
+    def _ask_to_load(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(
+            self, "Regions", filter="*.roi *.zip *.csv;;*"
+        )  # fmt: skip
+        self._try(self.load, path)
+
+    def _ask_for_regions(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Regions", "regions.csv")
+        self._try(self.save_regions, path)
+
+    def _ask_for_table(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Table", "table.csv")
+        self._try(self.save_table, path)
+
+    def _try(self, call: object, path: str) -> None:
+        if path:
+            try:
+                call(str(Path(path)))  # type: ignore[operator]
+            except OpticalPalpationError as error:
+                self._bench.said.emit(str(error))

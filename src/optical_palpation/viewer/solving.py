@@ -1,0 +1,175 @@
+"""Part of the panel: material, friction and elements, and the stress that follows from them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from qtpy.QtCore import QTimer
+from qtpy.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QFormLayout,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+)
+
+from optical_palpation.errors import OpticalPalpationError
+from optical_palpation.palpation.result import StressResult
+from optical_palpation.present.terms import term
+from optical_palpation.viewer.layers import map_layers, region_layer
+from optical_palpation.viewer.measurement import Measurement
+from optical_palpation.viewer.numbers import Number
+from optical_palpation.viewer.workbench import Workbench
+
+_SHOWN = (
+    "traction_x",
+    "traction_y",
+    "window_contact_state",
+    "contact_state",
+    "contact_pressure",
+    "algebraic_axial_stress",
+    "axial_stress",
+)
+_LAWS = {
+    "mooney-rivlin": ("c10", "c01"),
+    "neo-hookean": ("c10",),
+    "yeoh": ("c10", "c20", "c30"),
+}
+_COEFFICIENTS = ("c10", "c01", "c20", "c30")
+_WAIT = 150  # ms after which a change counts as made
+
+
+class Solving(QGroupBox):
+    """What the study needs besides the layer, and solving it."""
+
+    def __init__(self, bench: Workbench, measurement: Measurement) -> None:
+        super().__init__("Stress")
+        self._bench, self._measurement = bench, measurement
+        form = QFormLayout(self)
+        self.law = QComboBox()
+        self.law.addItems(list(_LAWS))
+        form.addRow("material", self.law)
+        self.numbers = {
+            "material.c10": Number(0.0, 1e5, (0.0, 10.0), "kPa"),
+            "material.c01": Number(-1e5, 1e5, (0.0, 10.0), "kPa"),
+            "material.c20": Number(-1e5, 1e5, (-1.0, 1.0), "kPa"),
+            "material.c30": Number(-1e5, 1e5, (-1.0, 1.0), "kPa"),
+            "friction.window": Number(0.0, 2.0, (0.0, 1.0)),
+            "friction.sample": Number(0.0, 2.0, (0.0, 1.0)),
+            "grid.element_size": Number(0.001, 10.0, (0.05, 0.5), "mm", 4),
+        }
+        labels = {"window": "friction, window", "sample": "friction, sample"}
+        for name, number in self.numbers.items():
+            key = name.partition(".")[2]
+            form.addRow(labels.get(key, key.replace("_", " ")), number)
+            number.changed.connect(self._changed)
+        self.edges = QComboBox()
+        self.edges.addItems(["free", "roller", "padded"])
+        form.addRow("edges", self.edges)
+        self.live = QCheckBox("solve as I change")
+        row = QHBoxLayout()
+        self.button = QPushButton("Solve")
+        self.button.clicked.connect(lambda: self.solve())
+        row.addWidget(self.button)
+        row.addWidget(self.live)
+        form.addRow(row)
+        self.outcome = QLabel()
+        self.outcome.setWordWrap(True)
+        form.addRow(self.outcome)
+        self._form = form
+        self._size: Any = None  # three element sizes as the study gives them, or None
+        self._timer = QTimer(self)
+        self._timer.setSingleShot(True)
+        self._timer.setInterval(_WAIT)
+        self._timer.timeout.connect(self._solve_if_live)
+        self.law.currentTextChanged.connect(self._show_law)
+        self.edges.currentTextChanged.connect(lambda _: self._changed())
+        self.live.toggled.connect(lambda on: self._changed() if on else None)
+        bench.opened.connect(self._show)
+        bench.background.failed.connect(lambda _: self.outcome.setText("no stress: see below"))
+        self._show_law()
+
+    def apply(self) -> None:
+        """Put what is chosen into the study.
+
+        Raises
+        ------
+        InputError
+            If an input has not been chosen.
+        """
+        self._measurement.apply()
+        law = self.law.currentText()
+        changes: dict[str, Any] = {"material.law": law, "grid.edges": self.edges.currentText()}
+        for name, number in self.numbers.items():
+            table, _, key = name.partition(".")
+            fits = table != "material" or key in _LAWS[law]
+            changes[name] = number.value() if fits else None
+        size = self._size
+        if size is not None and changes["grid.element_size"] == round(size[0], 4):
+            changes["grid.element_size"] = size
+        self._bench.session.change(changes)
+
+    def solve(self) -> None:
+        """Compute the stress in the background, and show it."""
+        bench = self._bench
+        try:
+            self.apply()
+            bench.session.study()
+        except OpticalPalpationError as error:
+            bench.said.emit(str(error))
+            return
+        session = bench.session
+        bench.background.run(session.solve, self._show_result)
+
+    def _show_result(self, result: StressResult) -> None:
+        bench = self._bench
+        first = bench.result is None
+        bench.result = result
+        layers = map_layers(result.maps, only=_SHOWN)
+        for layer in layers[:-1]:
+            layer.keywords["visible"] = False
+        bench.show(layers)
+        if not list(bench.layers("regions")):
+            bench.show([region_layer()])
+        if first:
+            bench.view_maps([term(result.maps, "axial_stress").label])
+        force = result.maps.attrs["sample_force_mN"]
+        stress = result.maps["axial_stress"]
+        self.outcome.setText(
+            f"force {force:.4g} mN, mean axial stress {float(stress.mean()):.4g} kPa, "
+            f"{stress.sizes['y']} x {stress.sizes['x']} points"
+        )
+        bench.solved.emit()
+
+    def _changed(self) -> None:
+        if self.live.isChecked():
+            self._timer.start()
+
+    def _solve_if_live(self) -> None:
+        if self.live.isChecked():
+            self.solve()
+
+    def _show_law(self) -> None:
+        used = _LAWS[self.law.currentText()]
+        for key in _COEFFICIENTS:
+            self._form.setRowVisible(self.numbers[f"material.{key}"], key in used)
+        self._changed()
+
+    def _show(self) -> None:
+        """Show what another study says."""
+        tables = self._bench.session.tables
+        material, grid = tables.get("material", {}), tables.get("grid", {})
+        live = self.live.isChecked()
+        self.live.setChecked(False)
+        self.law.setCurrentText(material.get("law", "mooney-rivlin"))
+        self.edges.setCurrentText(grid.get("edges", "free"))
+        for name, number in self.numbers.items():
+            table, _, key = name.partition(".")
+            value = tables.get(table, {}).get(key)
+            if key == "element_size" and isinstance(value, list):
+                self._size, value = value, value[0]
+            number.set(value)
+        self.live.setChecked(live)
+        self.outcome.setText("")

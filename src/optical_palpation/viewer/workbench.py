@@ -1,0 +1,145 @@
+"""What the parts of the panel share: the viewer, the study that is worked on, the background."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from napari.layers import Layer as NapariLayer
+from qtpy.QtCore import QObject, Signal
+
+from optical_palpation.palpation.result import StressResult
+from optical_palpation.viewer.background import Background
+from optical_palpation.viewer.layers import KEY, Layer, volume_layer
+from optical_palpation.viewer.session import SIDES, Session
+
+_IN_VOLUMES = ("volume", "boundary", "anchors")
+
+
+class Workbench(QObject):
+    """The viewer, the session and what they show of it."""
+
+    #: Another study is worked on.
+    opened = Signal()
+    #: The layer was found in a volume; its side.
+    found = Signal(str)
+    #: There is a new stress.
+    solved = Signal()
+    #: Something to tell the user.
+    said = Signal(str)
+
+    def __init__(self, viewer: Any, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.viewer = viewer
+        self.session = Session()
+        self.background = Background(self)
+        self.result: StressResult | None = None
+
+    def take_up(self, session: Session) -> None:
+        """Work on another study, and show its volumes."""
+        self.background.cancel()
+        self.session = session
+        self.result = None
+        for side in SIDES:
+            given = session.input(side)
+            if "volume" in given and self.volume_of(given["volume"]) is None:
+                self.show([volume_layer(session.open_volume(side), given["volume"])])
+        self.opened.emit()
+
+    def layers(self, kind: str, side: str | None = None) -> Iterator[NapariLayer]:
+        """Layers of this plugin, by kind and side."""
+        for layer in self.viewer.layers:
+            about = layer.metadata.get(KEY, {})
+            if about.get("kind") == kind and (side is None or about.get("side") == side):
+                yield layer
+
+    def volume_of(self, file: str) -> NapariLayer | None:
+        """The layer that shows a volume."""
+        return next(
+            (v for v in self.layers("volume") if v.metadata[KEY]["input"]["volume"] == file), None
+        )
+
+    def show(self, layers: Sequence[Layer]) -> list[NapariLayer]:
+        """Show layers, in place of those of the same name."""
+        shown = []
+        for layer in layers:
+            name = layer.keywords["name"]
+            old = next((it for it in self.viewer.layers if it.name == name), None)
+            if old is not None and layer.kind == "image" and old.metadata.get(KEY):
+                _update(old, layer)
+                shown.append(old)
+                continue
+            new = NapariLayer.create(layer.data, dict(layer.keywords), layer.kind)
+            if old is not None:
+                new.visible = old.visible
+                place = self.viewer.layers.index(old)
+                self.viewer.layers.remove(old)
+                self.viewer.layers.insert(place, new)
+            else:
+                self.viewer.add_layer(new)
+            if layer.kind == "image" and layer.keywords["metadata"][KEY]["kind"] == "map":
+                new.colorbar.visible = True
+                new.metadata[KEY]["limits"] = tuple(new.contrast_limits)
+            shown.append(new)
+        return shown
+
+    def view_bscans(self, side: str) -> None:
+        """Show the B-scans of a volume with what was found in it."""
+        given = self.session.input(side)
+        volume = self.volume_of(given["volume"]) if "volume" in given else None
+        if volume is None:
+            self.said.emit(f"the {side} layer is no volume: there are no B-scans")
+            return
+        dims = self.viewer.dims
+        for layer in self.viewer.layers:
+            about = layer.metadata.get(KEY, {})
+            of_side = about.get("side") == side or layer is volume
+            layer.visible = about.get("kind") in _IN_VOLUMES and of_side
+        dims.ndisplay = 2
+        dims.order = (1, 0, 2)
+        dims.set_current_step(1, volume.data.shape[1] // 2)
+        self.viewer.scene.camera.orientation2d = ("down", "right")
+        self.viewer.canvas.overlays.scale_bar.visible = True
+        self.viewer.reset_view()
+
+    def view_maps(self, names: Sequence[str] = ()) -> None:
+        """Show the maps en face; of these, the ones that are named alone, if any are."""
+        for layer in self.viewer.layers:
+            kind = layer.metadata.get(KEY, {}).get("kind")
+            if kind in _IN_VOLUMES:
+                layer.visible = False
+            elif kind == "map" and names:
+                layer.visible = layer.name in names
+            elif kind in ("regions", "excluded"):
+                layer.visible = True
+        maps = [layer for layer in self.layers("map")]
+        if maps and not any(layer.visible for layer in maps):
+            maps[-1].visible = True
+        dims = self.viewer.dims
+        dims.ndisplay = 2
+        dims.order = tuple(range(dims.ndim))
+        self.viewer.scene.camera.orientation2d = ("up", "right")  # as in all figures
+        self.viewer.canvas.overlays.scale_bar.visible = True
+        self.viewer.reset_view()
+
+    def title(self, given: Mapping[str, Any]) -> str:
+        """What to call an input of a study."""
+        if "thickness" in given:
+            return f"{given['thickness']:g} mm"
+        return Path(str(given.get("volume") or given.get("map") or "")).name
+
+
+def _update(old: Any, new: Layer) -> None:
+    """Put new values into an image, whose limits stay if the user has chosen them."""
+    chosen = tuple(old.contrast_limits) != old.metadata[KEY].get("limits")
+    old.data = new.data
+    old.scale, old.translate = new.keywords["scale"], new.keywords["translate"]
+    if not chosen:
+        limits = tuple(float(v) for v in new.keywords["contrast_limits"])
+        low = min(limits[0], float(np.nanmin(new.data)))
+        high = max(limits[1], float(np.nanmax(new.data)))
+        old.contrast_limits_range = (low, high)
+        old.contrast_limits = limits
+        old.metadata[KEY]["limits"] = tuple(old.contrast_limits)

@@ -1,0 +1,368 @@
+"""The napari plugin with real Qt and OpenGL: dropped files, mouse, table, sliders, saved study."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from optical_palpation.analysis import region_statistics
+from optical_palpation.study import read_study, run_study
+from optical_palpation.thickness import read_corrections, write_thickness_map
+from optical_palpation.viewer.layers import KEY
+from optical_palpation.viewer.session import Session
+from study_case import make_study, make_volumes
+
+pytest.importorskip("napari", reason="napari is not installed")
+
+# A viewer that shows a layer of every kind the plugin needs, in a process that may die of it.
+TRIAL = """
+import napari, numpy as np
+viewer = napari.Viewer(show=False)
+viewer.add_image(np.random.rand(4, 5, 6))
+assert viewer.screenshot(canvas_only=False, flash=False).std() > 0
+viewer.close()
+"""
+
+
+@pytest.fixture(scope="module")
+def display():
+    """A screen: the one there is, or a virtual one; without OpenGL on it, skip."""
+    server, before = None, os.environ.get("DISPLAY")
+    if sys.platform.startswith("linux") and not before and shutil.which("Xvfb"):
+        read, write = os.pipe()
+        server = subprocess.Popen(
+            ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1000x24", "-nolisten", "tcp"],
+            pass_fds=(write,),
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(write)
+        with os.fdopen(read) as number:
+            os.environ["DISPLAY"] = f":{number.readline().strip()}"
+    try:
+        tried = subprocess.run([sys.executable, "-c", TRIAL], capture_output=True, text=True)
+        if tried.returncode != 0:
+            pytest.skip("no screen with OpenGL for napari")
+        yield
+    finally:
+        if server is not None:
+            server.terminate()
+            server.wait()
+            del os.environ["DISPLAY"]
+
+
+@pytest.fixture
+def viewer(display):
+    import napari
+
+    viewer = napari.Viewer(show=True)
+    viewer.window._qt_window.resize(1400, 900)
+    yield viewer
+    viewer.close()
+    pump()
+
+
+@pytest.fixture
+def panel(viewer):
+    panel = viewer.window.add_plugin_dock_widget("optical-palpation")[1]
+    yield panel
+    panel.bench.background.cancel()
+    wait(lambda: not panel.bench.background.is_busy)
+    panel.bench.session.close()
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    make_volumes(folder)
+    return make_study(folder)
+
+
+def pump():
+    from qtpy.QtWidgets import QApplication
+
+    QApplication.processEvents()
+
+
+def wait(until, seconds=300):
+    end = time.monotonic() + seconds
+    while not until():
+        assert time.monotonic() < end, "took too long"
+        pump()
+        time.sleep(0.01)
+    pump()
+
+
+def wait_idle(panel):
+    wait(lambda: not panel.bench.background.is_busy)
+    assert not panel.message.text().startswith("error"), panel.message.text()
+
+
+def layer(panel, kind, side=None):
+    return next(panel.bench.layers(kind, side))
+
+
+def press(viewer, *world):
+    """Click with the mouse where the point (in the order of the shown axes) lies on the canvas."""
+    from qtpy.QtCore import QPoint, Qt
+    from qtpy.QtTest import QTest
+
+    pump()
+    canvas = viewer.window._qt_viewer.canvas
+    transform = canvas.view.scene.transform
+    for point in world:
+        x, y = transform.map([*reversed(point), 0, 1])[:2]
+        at = QPoint(round(float(x)), round(float(y)))
+        QTest.mouseMove(canvas.native, at)
+        pump()
+        QTest.mouseClick(canvas.native, Qt.MouseButton.LeftButton, pos=at)
+        pump()
+
+
+def drag(viewer, start, end):
+    """Draw with the mouse from one point to another."""
+    from qtpy.QtCore import QPoint, Qt
+    from qtpy.QtTest import QTest
+
+    pump()
+    canvas = viewer.window._qt_viewer.canvas
+    transform = canvas.view.scene.transform
+    places = []
+    for share in (0.0, 0.3, 0.6, 1.0):
+        point = [a + share * (b - a) for a, b in zip(start, end, strict=True)]
+        x, y = transform.map([*reversed(point), 0, 1])[:2]
+        places.append(QPoint(round(float(x)), round(float(y))))
+    QTest.mouseMove(canvas.native, places[0])
+    QTest.mousePress(canvas.native, Qt.MouseButton.LeftButton, pos=places[0])
+    for at in places[1:]:
+        QTest.mouseMove(canvas.native, at)
+        pump()
+    QTest.mouseRelease(canvas.native, Qt.MouseButton.LeftButton, pos=places[-1])
+    pump()
+
+
+def test_the_manifest_is_valid():
+    from npe2 import PluginManifest
+
+    manifest = PluginManifest.from_distribution("optical-palpation")
+    manifest.validate_imports()
+    assert {reader.command for reader in manifest.contributions.readers} == {
+        "optical-palpation.read_volume",
+        "optical-palpation.read_maps",
+    }
+
+
+def test_a_dropped_volume_lies_where_its_file_says(viewer, tmp_path):
+    from volume_samples import WRITERS, volume
+
+    path, _ = WRITERS["hdf5"](tmp_path, volume())
+    (shown,) = viewer.open(path, plugin="optical-palpation")
+    assert shown.data.shape == volume().shape
+    assert [str(unit) for unit in shown.units] == ["millimeter"] * 3
+    assert tuple(shown.scale) == pytest.approx((0.0035, 0.02, 0.01))
+    assert np.array_equal(shown.data[:, 2], volume()[:, 2])
+
+
+def test_a_volume_that_says_too_little_is_opened_with_what_it_lacks(panel, study):
+    from optical_palpation.viewer.reading import read_volume, volume_reader
+
+    path = str(study.parent / "loaded.npy")
+    assert volume_reader(path) is read_volume
+    assert volume_reader(str(study)) is None
+    with pytest.raises(Exception, match=r"axes=.*Open volume"):
+        read_volume(path)
+    fields = {"axes": "yzx", "spacing": "{z = 0.0029, y = 0.03, x = 0.03}", "scale": "linear"}
+    for key, text in fields.items():
+        panel.measurement.how[key].setText(text)
+    panel.measurement.open(path)
+    shown = layer(panel, "volume")
+    assert tuple(shown.scale) == pytest.approx((0.0029, 0.03, 0.03))
+    panel.measurement.thickness.set(0.45)
+    choice = panel.measurement.choice["unloaded"]
+    choice.setCurrentIndex(choice.findData("a thickness"))
+    panel.measurement.find_layer()
+    wait_idle(panel)
+    assert panel.bench.session.tables["loaded"]["axes"] == "yzx"
+    assert layer(panel, "boundary", "loaded").data.shape == (40 * 47, 2, 3)
+
+
+def test_dropped_maps_have_units_and_limits_in_common(viewer, tmp_path):
+    here = {"y": np.linspace(0, 1, 11), "x": np.linspace(0, 2, 21)}
+    fields = {
+        name: xr.DataArray(
+            low * np.ones((11, 21)), here, ("y", "x"), attrs={"units": "mm"}
+        )
+        for name, low in (("loaded_thickness", 0.4), ("initial_thickness", 0.5))
+    }  # fmt: skip
+    write_thickness_map(xr.Dataset(fields), tmp_path / "maps.nc")
+    shown = viewer.open(tmp_path / "maps.nc", plugin="optical-palpation")
+    assert [layer.name for layer in shown] == [
+        "maps: Loaded thickness (mm)",
+        "maps: Unloaded thickness (mm)",
+    ]
+    assert shown[0].contrast_limits == shown[1].contrast_limits
+    assert [layer.visible for layer in shown] == [False, True]
+
+
+def test_from_volumes_to_a_table_and_back_to_the_command(viewer, panel, study, tmp_path):
+    bench = panel.bench
+    panel.open_study(str(study))
+    assert {layer.name for layer in viewer.layers} == {"unloaded.npy", "loaded.npy"}
+    panel.measurement.find_layer()
+    wait_idle(panel)
+    assert viewer.dims.order == (1, 0, 2)
+    before = bench.session.find("loaded")
+
+    # an anchor on a B-scan
+    panel.correction.boundary.setCurrentText("sample")
+    panel.correction.draw_anchors()
+    viewer.dims.set_current_step(1, 30)
+    press(viewer, (0.40, 0.6))
+    anchors = layer(panel, "anchors", "loaded")
+    assert len(anchors.data) == 1
+    # a rectangle on a map
+    panel.correction.boundary.setCurrentText("window")
+    panel.correction.exclude()
+    assert viewer.dims.order == (0, 1, 2)
+    drag(viewer, (0.1, 0.9), (0.4, 1.2))
+    panel.correction.find_again()
+    wait_idle(panel)
+    made = bench.session.corrections["loaded"]
+    ((boundary, x, y, z),) = made.anchors
+    assert boundary == "sample"
+    assert (x, y, z) == (pytest.approx(0.6, abs=0.02), pytest.approx(0.9), pytest.approx(0.4, abs=0.01))  # fmt: skip  # noqa: E501
+    ((boundary, *span),) = made.exclusions
+    assert boundary == "window"
+    assert span == pytest.approx([0.9, 1.2, 0.1, 0.4], abs=0.02)
+    after = bench.session.find("loaded")
+    inside = after.sel(x=slice(0.95, 1.15), y=slice(0.15, 0.35))
+    assert inside["filled"].all()
+    assert not after["sample_depth"].equals(before["sample_depth"])
+    panel.correction.save(tmp_path / "corrections.txt")
+    assert read_corrections(tmp_path / "corrections.txt") == made
+    panel.correction.load(tmp_path / "corrections.txt")
+    assert np.allclose(layer(panel, "anchors", "loaded").data, anchors.data)
+
+    # stress, and a region on it
+    panel.solving.solve()
+    wait_idle(panel)
+    result = bench.result
+    shown = {layer.name: layer for layer in viewer.layers}
+    stress = shown["Axial stress, computational (kPa)"]
+    assert np.array_equal(stress.data, result.maps["axial_stress"].values.astype(np.float32))
+    assert stress.contrast_limits == shown["Axial stress, algebraic (kPa)"].contrast_limits
+    panel.regions.draw()
+    drag(viewer, (0.3, 0.3), (0.9, 0.8))
+    wait(lambda: panel.regions.table.rowCount() == 1)
+    (region,) = panel.regions.regions()
+    expected = region_statistics(result.maps, [region])
+    header = [panel.regions.table.horizontalHeaderItem(i).text() for i in range(6)]
+    assert header[:4] == ["mean (kPa)", "lowest (kPa)", "highest (kPa)", "force (mN)"]
+    assert panel.regions.table.item(0, 0).text() == f"{float(expected['mean'][0]):.4g}"
+    assert panel.regions.table.item(0, 3).text() == f"{float(expected['force'][0]):.4g}"
+    assert float(expected["area"][0]) == pytest.approx(0.3, rel=0.1)
+    panel.regions.save_table(tmp_path / "table.csv")
+    assert "mean_kPa" in (tmp_path / "table.csv").read_text()
+    panel.regions.save_regions(tmp_path / "regions.csv")
+    panel.regions.load(tmp_path / "regions.csv")
+    assert panel.regions.table.item(0, 0).text() == f"{float(expected['mean'][0]):.4g}"
+
+    # another friction, as the slider is let go
+    panel.solving.live.setChecked(True)
+    wait_idle(panel)
+    panel.solving.numbers["friction.window"]._slider.setValue(60)
+    wait(lambda: bench.result is not result and not bench.background.is_busy)
+    friction = panel.solving.numbers["friction.window"].value()
+    assert bench.result.maps.attrs["window_friction"] == friction == pytest.approx(0.3)
+    assert bench.result.maps.attrs["sample_force_mN"] > result.maps.attrs["sample_force_mN"]
+    assert np.array_equal(stress.data, bench.result.maps["axial_stress"].values.astype(np.float32))
+
+    panel.save_study(str(tmp_path / "mine.toml"))
+    text = (tmp_path / "mine.toml").read_text()
+    (tmp_path / "mine.toml").write_text(text + "\n[outputs]\nwrite = []\n")
+    done = run_study(read_study(tmp_path / "mine.toml"))
+    again = xr.load_dataset(done.folder / "stress.nc", engine="h5netcdf")
+    for name in ("axial_stress", "contact_pressure", "contact_state"):
+        assert np.array_equal(again[name].values, bench.result.maps[name].values)
+
+
+def test_a_computation_can_be_cancelled_and_the_window_stays_alive(panel, study):
+    panel.open_study(str(study))
+    panel.measurement.find_layer()
+    wait_idle(panel)
+    panel.solving.numbers["grid.element_size"].set(0.03)
+    panel.solving._size = None
+    stages = []
+    panel.bench.background.progressed.connect(lambda stage, share: stages.append((stage, share)))
+    panel.solving.solve()
+    assert panel.cancel.isEnabled()
+    wait(lambda: any("elements" in stage for stage, _ in stages))
+    panel.cancel.click()
+    wait(lambda: not panel.bench.background.is_busy)
+    assert panel.bench.result is None
+    assert not panel.cancel.isEnabled()
+    assert not list(panel.bench.layers("regions"))
+    # what comes next is not harmed
+    panel.solving.numbers["grid.element_size"].set(0.2)
+    panel.solving.solve()
+    wait_idle(panel)
+    assert panel.bench.result is not None
+
+
+def test_only_the_last_of_many_changes_is_solved(panel):
+    bench, seen, started = panel.bench, [], []
+
+    def job(number):
+        def compute(tell):
+            started.append(number)
+            for step in range(100):
+                tell(type("Report", (), {"stage": "waiting", "load": step / 100}))
+                time.sleep(0.01)
+            return number
+
+        return compute
+
+    for number in range(5):
+        bench.background.run(job(number), seen.append)
+        pump()
+    wait(lambda: not bench.background.is_busy)
+    assert seen == [4]
+    assert started[0] == 0
+    assert started[-1] == 4
+
+
+def test_what_is_missing_or_wrong_is_said(panel, study, tmp_path):
+    panel.measurement.find_layer()
+    assert "choose the loaded layer: drop its volume" in panel.message.text()
+    panel.correction.draw_anchors()
+    assert "find the layer" in panel.message.text()
+    panel.regions.draw()
+    assert "solve first" in panel.message.text()
+    panel.open_study(str(study))
+    panel.solving.numbers["friction.window"].set(None)
+    panel.solving.solve()
+    assert "friction.window: is missing" in panel.message.text()
+    panel.solving.numbers["friction.window"].set(0.1)
+    panel.solving.numbers["grid.element_size"].set(5.0)
+    panel.solving._size = None
+    panel.solving.solve()
+    wait(lambda: not panel.bench.background.is_busy)
+    assert panel.message.text().startswith("[grid]: the element size along z, 5 mm, is larger")
+    assert panel.bench.result is None
+    with pytest.raises(Exception, match=r"ends in \.toml"):
+        panel.save_study(str(tmp_path / "a.txt"))
+
+
+def test_a_study_of_a_number_and_a_volume_is_shown_as_it_is(panel, study):
+    session = Session.open(study)
+    session.change({"unloaded": {"thickness": 0.44}, "grid.element_size": [0.2, 0.25, 0.1]})
+    panel.bench.take_up(session)
+    assert panel.measurement.thickness.value() == 0.44
+    assert layer(panel, "volume").metadata[KEY]["input"]["volume"].endswith("loaded.npy")
+    panel.solving.apply()
+    assert session.tables["unloaded"] == {"thickness": 0.44}
+    assert session.tables["grid"]["element_size"] == [0.2, 0.25, 0.1]
