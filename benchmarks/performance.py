@@ -203,7 +203,7 @@ def run_sinusoid(threads: int | None, limit: float) -> dict:
     from calculix import calculix_installed, run_calculix, sinusoid
     from optical_palpation.material import MooneyRivlin
     from optical_palpation.mechanics import cascade
-    from optical_palpation.palpation.computational import _algebraic_forces
+    from optical_palpation.palpation.meshing import expected_forces
 
     if not SINUSOID.exists():
         return {"failed": "the imprint's file is not there"}
@@ -214,7 +214,7 @@ def run_sinusoid(threads: int | None, limit: float) -> dict:
     found: dict = {}
     for solver in ("multigrid", "direct"):
         start = time.perf_counter()
-        solution = cascade.solve(problem, lambda p: _algebraic_forces(p, material), solver=solver)
+        solution = cascade.solve(problem, lambda p: expected_forces(p, material), solver=solver)
         found[solver] = {
             "seconds": time.perf_counter() - start,
             "force_mN": float(solution.state.normal_force[1].sum()),

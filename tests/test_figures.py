@@ -27,10 +27,10 @@ def result(computational=True):
             "algebraic_axial_stress": (grid, -2 - np.sin(2 * x), {"units": "kPa"}),
             "loaded_thickness": (grid, 0.4 + 0.02 * x, {"units": "mm"}),
             "contact_state": (grid, (1 + (x > 2)).astype(np.int8)),
-            "edge_influence": (
+            "strain_energy": (
                 grid,
                 np.exp(-x),
-                {"units": "kPa", "long_name": "influence of the edges"},
+                {"units": "kPa", "long_name": "strain energy"},
             ),
         },
         {"y": Y, "x": X},
@@ -63,14 +63,14 @@ def test_a_figure_is_as_wide_as_its_column(tmp_path, ending, width, mm):
 
 def test_terms_are_words_with_units_and_panels_have_letters(tmp_path):
     path = tmp_path / "f.svg"
-    names = ["axial_stress", "algebraic_axial_stress", "loaded_thickness", "edge_influence"]
+    names = ["axial_stress", "algebraic_axial_stress", "loaded_thickness", "strain_energy"]
     write_maps(result(), path, names, width="double")
     said = texts(path)
     for words in (
         "Axial stress, computational (kPa)",
         "Axial stress, algebraic (kPa)",
         "Loaded thickness (mm)",
-        "Influence of the edges (kPa)",
+        "Strain energy (kPa)",
     ):
         assert words in said
     assert "_" not in said

@@ -20,7 +20,7 @@ from optical_palpation.mechanics.newton import balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.system import assemble
 from optical_palpation.palpation import computational_stress
-from optical_palpation.palpation.computational import _algebraic_forces
+from optical_palpation.palpation.meshing import expected_forces
 
 C10, C01 = 2.23, 0.703
 MU = 2 * (C10 + C01)
@@ -29,7 +29,7 @@ EXACT = Tolerances(force=1e-9, volume=1e-10)
 
 def algebraic(problem: LayerProblem) -> np.ndarray:
     """Contact forces by the algebraic method."""
-    return _algebraic_forces(problem, MooneyRivlin(C10, C01))
+    return expected_forces(problem, MooneyRivlin(C10, C01))
 
 
 def deformed(seed: int = 0):

@@ -1011,8 +1011,8 @@ def annotated():
     maps = result.maps
     maps["axial_stress_error"] = abs(maps["axial_stress"]) * 0.1
     maps["axial_stress_error"].attrs = {"units": "kPa", "long_name": "error of the axial stress"}
-    maps["edge_influence"] = maps["axial_stress"] * 0 + 0.25 + 0.1 * maps["x"]
-    maps["edge_influence"].attrs = {"units": "kPa", "long_name": "influence of the <b>edges</b>"}
+    maps["strain_energy"] = maps["axial_stress"] * 0 + 0.25 + 0.1 * maps["x"]
+    maps["strain_energy"].attrs = {"units": "kPa", "long_name": "energy of the <b>strain</b>"}
     return result
 
 
@@ -1032,7 +1032,7 @@ def test_further_maps_error_bands_differences_and_regions(show, tmp_path):
         )
     )
     titles = page.locator("#stage-map option").all_inner_texts()
-    assert "Influence of the <b>edges</b>" in titles
+    assert "Energy of the <b>strain</b>" in titles
     assert f"{name} less this" in titles
     choose(page, "difference-0")
     page.mouse.move(1, 1)

@@ -110,6 +110,7 @@ def stress_uncertainty(
             material.scaled(modulus),
             window_friction=window_friction,
             sample_friction=sample_friction,
+            edge_check=nominal is None and count == 1,
             progress=report,
             **options,
         )

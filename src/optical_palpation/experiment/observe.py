@@ -20,8 +20,8 @@ from optical_palpation.mechanics.stack.problem import (
     Stack,
     State,
 )
-from optical_palpation.palpation.computational import SLIP_SHARE, _surface_axial_stress
 from optical_palpation.palpation.result import ContactState
+from optical_palpation.palpation.surface import SLIP_SHARE, surface_axial_stress
 
 Array = NDArray[np.float64]
 _FLAGS = {
@@ -69,7 +69,7 @@ def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
     pressure = np.maximum(-force[2] / area[2], 0.0)
     fields = {
         "contact_pressure": pressure,
-        "axial_stress": _surface_axial_stress(
+        "axial_stress": surface_axial_stress(
             body.stress(u, state.p[LAYER]), area / np.linalg.norm(area, axis=0), pressure
         ),
         **{f"traction_{c}": force[n] / grid.surface_areas(surface) for n, c in enumerate("xyz")},

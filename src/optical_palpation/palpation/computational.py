@@ -13,44 +13,28 @@ from typing import Literal
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
-from optical_palpation.mechanics.contact import area_vectors, friction_fraction, side_contact
-from optical_palpation.mechanics.grid import (
-    RIM,
-    LayerGrid,
-    depth_positions,
-    edge_width,
-    node_positions,
-)
-from optical_palpation.mechanics.imprint import Imprint
+from optical_palpation.mechanics.contact import side_contact
 from optical_palpation.mechanics.iteration import TOLERANCES
 from optical_palpation.mechanics.newton import Balance, balance
-from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem, LayerState
+from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.palpation.algebraic import algebraic_stress
+from optical_palpation.palpation.edges import edge_influence
 from optical_palpation.palpation.memory import check_memory
+from optical_palpation.palpation.meshing import Edges, expected_forces, layer_problem
 from optical_palpation.palpation.motion import match_sample_motion
 from optical_palpation.palpation.plausibility import check_elements, unusual
-from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.palpation.result import StressResult
+from optical_palpation.palpation.surface import deformed_layer, surface_maps
 from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
 
-Array = NDArray[np.float64]
-Edges = Literal["free", "roller", "padded"]
-
-#: Width, in thicknesses, by which ``padded`` edges continue the layer past the field of view.
-PADDING = 3.0
-#: Smoothing of contact at the rim of finely meshed layers (``LayerProblem.rim_smoothing``), which
-#: without it lifts off the window node by node. It raises the total force by 0.3 %.
-RIM_SMOOTHING = 0.5
 #: More elements than any machine holds; their layout alone would take minutes.
 MOST_ELEMENTS = 1e8
-#: A node slips where friction has reached this share of its bound.
-SLIP_SHARE = 0.9
 
 
 @dataclass(frozen=True)
@@ -76,6 +60,7 @@ def computational_stress(
     imprint_smoothing: float | None = None,
     solver: Literal["auto", "multigrid", "direct"] = "auto",
     threads: int | None = None,
+    edge_check: bool = True,
     progress: Callable[[Progress], None] | None = None,
 ) -> StressResult:
     """Compute the tactile stress that deforms the layer to the loaded thickness.
@@ -111,6 +96,9 @@ def computational_stress(
         ``multigrid``, ``direct`` (sparse LU, for small grids) or ``auto``.
     threads
         Number of threads; by default one for each core that the process may use.
+    edge_check
+        Whether to compute, on a coarse grid, how much the sides of the layer matter: the map
+        ``edge_influence`` and the attributes ``edge_influence_*``.
     progress
         Called with a :class:`Progress` now and then.
 
@@ -153,7 +141,7 @@ def computational_stress(
                 f"view, {widest:g} mm, and would leave no relief (it is in mm)"
             )
     friction = window_friction, sample_friction
-    problem = _problem(loaded, initial, motion, material, friction, sizes, edges, smoothing)
+    problem = layer_problem(loaded, initial, motion, material, friction, sizes, edges, smoothing)
     check_memory(problem, solver)
 
     newton = 0
@@ -170,7 +158,7 @@ def computational_stress(
         with limited_threads(threads):
             solution = solve(
                 problem,
-                lambda level: _algebraic_forces(level, material),
+                lambda level: expected_forces(level, material),
                 solver="multigrid" if solver == "auto" else solver,
                 on_iteration=report,
             )
@@ -182,8 +170,8 @@ def computational_stress(
         ) from None
 
     now = _checked(solution)
-    layer, surface = _layer(solution, now)
-    maps = _maps(solution, surface, loaded, algebraic, sizes)
+    layer, surface = deformed_layer(solution, now)
+    maps = surface_maps(solution, surface, loaded, algebraic, sizes)
     _check_cover(maps["axial_stress"], loaded, solution.state)
     sides = side_contact(solution.problem, solution.state).normal_force.sum(1)
     window_force, sample_force = map(float, solution.state.normal_force.sum((1, 2)) + sides)
@@ -220,6 +208,15 @@ def computational_stress(
         "sides_force_share": float(sides.max()) / max(window_force, 1e-30),
         "slip_length_mm": problem.slip_length,
     }
+    if edge_check:
+        if progress:
+            progress(Progress("influence of the sides", 1.0, newton))
+        with limited_threads(threads):
+            influence = edge_influence(
+                problem, edges, layer_extent_of(loaded), maps["x"].values, maps["y"].values
+            )
+        maps["edge_influence"] = influence.described()
+        maps.attrs |= influence.attributes
     maps.attrs["unusual"] = json.dumps(unusual(material, maps))
     if motion is not None:
         maps.attrs |= motion.attrs
@@ -275,83 +272,6 @@ def _element_sizes(
     return x, y, z
 
 
-def _problem(
-    loaded: xr.DataArray,
-    initial: xr.DataArray,
-    motion: xr.DataArray | None,
-    material: Law,
-    friction: tuple[float, float],
-    sizes: tuple[float, float, float],
-    edges: Edges,
-    smoothing: float,
-) -> LayerProblem:
-    """Mesh the layer and make the imprint."""
-    x0, x1, y0, y1 = layer_extent_of(loaded)
-    thickness = float(initial.median())
-    x, y = _uniform(loaded["x"].values), _uniform(loaded["y"].values)
-    values = []
-    for field in (initial, loaded) if motion is None else (initial, loaded, motion):
-        same = np.array_equal(x, field["x"]) and np.array_equal(y, field["y"])
-        values.append(field.values if same else field.interp(x=x, y=y).values)
-    imprint = Imprint(x, y, *values)
-    if smoothing > 0:
-        imprint = imprint.smoothed(smoothing)
-    depth = depth_positions(sizes[2] / thickness, edges == "free")
-    edge = edge_width(depth, thickness) if edges == "free" else None
-    nodes_x = node_positions(x1 - x0, sizes[0], x0, edge=edge)
-    nodes_y = node_positions(y1 - y0, sizes[1], y0, edge=edge)
-    if edges == "padded":
-        nodes_x, nodes_y = (_padded(n, PADDING * thickness) for n in (nodes_x, nodes_y))
-    unloaded = imprint.evaluate(*np.meshgrid(nodes_x, nodes_y), 0.0)[0]
-    return LayerProblem(
-        grid=LayerGrid(nodes_x, nodes_y, depth, unloaded),
-        imprint=imprint,
-        law=material,
-        friction=friction,
-        edges="roller" if edges == "roller" else "free",
-        # friction builds up over 1 um on a layer of 0.5 mm, in proportion on others
-        slip_length=2e-3 * thickness,
-        rim_smoothing=_rim_smoothing(depth) if edges == "free" else 0.0,
-    )
-
-
-def _rim_smoothing(depth: Array) -> float:
-    """Smoothing of contact at the rim; elements higher than the rim is wide need none."""
-    return RIM_SMOOTHING * float(np.clip((RIM - depth[1]) / (0.5 * RIM), 0.0, 1.0))
-
-
-def _uniform(positions: Array) -> Array:
-    steps = np.diff(positions)
-    if np.ptp(steps) < 1e-3 * steps.mean():
-        return positions
-    count = int(np.ceil((positions[-1] - positions[0]) / steps.min())) + 1
-    return np.linspace(positions[0], positions[-1], count)
-
-
-def _padded(nodes: Array, width: float) -> Array:
-    """Continue node positions on both sides by ``width`` with slowly growing elements."""
-    size = nodes[1] - nodes[0]
-    count = 1
-    while size * (1.2 ** (count + 1) - 1.2) / 0.2 < width:
-        count += 1
-    beyond = np.cumsum(1.2 ** np.arange(1, count + 1))
-    beyond *= width / beyond[-1]  # how far the layer goes on decides the force
-    return np.concatenate([nodes[0] - beyond[::-1], nodes, nodes[-1] + beyond])
-
-
-def _algebraic_forces(level: LayerProblem, material: Law) -> Array:
-    """Nodal contact forces at full load that the algebraic method expects."""
-    grid = level.grid
-    height = level.imprint.evaluate(*np.meshgrid(grid.x, grid.y), 1.0)[0]
-    strain = np.minimum(height / grid.thickness, 1.0) - 1.0
-    stress = material.strain_adjusted_modulus(strain) * -strain
-    if level.edges == "roller":
-        # with nowhere to go the layer answers to the loss of volume with its bulk modulus
-        lost = 1 - np.minimum(height, grid.thickness).mean() / grid.thickness.mean()
-        stress = stress + material.bulk_modulus * lost
-    return stress * grid.areas
-
-
 def _checked(solution: Solution) -> Balance:
     """Return the balance of a solution.
 
@@ -388,198 +308,3 @@ def _check_cover(stress: xr.DataArray, loaded: xr.DataArray, state: LayerState) 
             f"{covered:.0%} of the field of view. Give the friction that there is at window and "
             "sample, or roller edges"
         )
-
-
-def _layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[str, Array]]:
-    """Deformed layer as a Dataset, and what its sample side carries at the surface nodes."""
-    problem, state = solution.problem, solution.state
-    grid = problem.grid
-    position = grid.nodes + state.u
-    force = now.force
-    stress = problem.body.stress(state.u, state.p)
-    touching = state.touching(problem)
-    share = friction_fraction(problem, state)
-    contact = np.where(share < SLIP_SHARE, ContactState.STICK, ContactState.SLIP)
-    contact = np.where(touching, contact, ContactState.OPEN).astype(np.int8)
-
-    area = grid.surface_areas(position[:, -1])
-    traction = {
-        WINDOW: force[:, 0] / grid.surface_areas(position[:, 0]),
-        SAMPLE: force[:, -1] / area,
-    }
-    _, hx, hy = problem.imprint.evaluate(position[0, -1], position[1, -1], 1.0)[:3]
-    slope = np.sqrt(1 + hx**2 + hy**2)
-    vertical_area = area_vectors(position[:, -1])[2]
-    pressure = np.where(touching[SAMPLE], state.normal_force[SAMPLE] / vertical_area, 0.0)
-    normal = np.stack([-hx, -hy, np.ones_like(hx)]) / slope
-    surface = {
-        "contact_pressure": pressure,
-        "axial_stress": _surface_axial_stress(stress, normal, pressure),
-        **{f"traction_{c}": traction[SAMPLE][n] for n, c in enumerate("xyz")},
-        "contact_state": contact[SAMPLE],
-        "window_contact_state": contact[WINDOW],
-        "x": position[0, -1],
-        "y": position[1, -1],
-    }
-
-    def variable(dims: str, data: Array, units: str, name: str) -> tuple:
-        return dims.split(), data, {"units": units, "long_name": name}
-
-    flags = {
-        "flag_values": [int(s) for s in ContactState],
-        "flag_meanings": " ".join(s.name.lower() for s in ContactState),
-    }
-    layer = xr.Dataset(
-        {
-            "position": variable(
-                "z y x component", np.moveaxis(position, 0, -1), "mm", "deformed node position"
-            ),
-            "displacement": variable(
-                "z y x component", np.moveaxis(state.u, 0, -1), "mm", "node displacement"
-            ),
-            "cauchy_stress": variable(
-                "cell_z cell_y cell_x tensor", np.moveaxis(stress, 0, -1), "kPa", "Cauchy stress"
-            ),
-            "sample_traction": variable(
-                "y x component", np.moveaxis(traction[SAMPLE], 0, -1), "kPa", "sample-side traction"
-            ),
-            "window_traction": variable(
-                "y x component", np.moveaxis(traction[WINDOW], 0, -1), "kPa", "window traction"
-            ),
-            "sample_contact_state": (("y", "x"), contact[SAMPLE], flags),
-            "window_contact_state": (("y", "x"), contact[WINDOW], flags),
-        },
-        {
-            "x": variable("x", grid.x, "mm", "reference position x"),
-            "y": variable("y", grid.y, "mm", "reference position y"),
-            "z": variable("z", grid.depth, "1", "reference depth over unloaded thickness"),
-            "component": ["x", "y", "z"],
-            "tensor": ["xx", "yy", "zz", "yz", "xz", "xy"],
-        },
-    )
-    return layer, surface
-
-
-def _surface_axial_stress(stress: Array, normal: Array, pressure: Array) -> Array:
-    """Cauchy zz at the sample-side nodes.
-
-    The stress of the elements is extrapolated to the surface and averaged onto the nodes; then its
-    hydrostatic part, which oscillates from element to element in constant-pressure bricks, is
-    replaced so that the stress normal to the surface is the contact pressure.
-    """
-    top = stress[:, -1] if stress.shape[1] == 1 else 1.5 * stress[:, -1] - 0.5 * stress[:, -2]
-    padded = np.pad(top, ((0, 0), (1, 1), (1, 1)), mode="edge")
-    xx, yy, zz, yz, xz, xy = 0.25 * (
-        padded[:, 1:, 1:] + padded[:, :-1, 1:] + padded[:, 1:, :-1] + padded[:, :-1, :-1]
-    )
-    nx, ny, nz = normal
-    along = nx * nx * xx + ny * ny * yy + nz * nz * zz
-    along += 2 * (ny * nz * yz + nx * nz * xz + nx * ny * xy)
-    return zz - along - pressure
-
-
-def _interpolator(grid: LayerGrid, field: Array) -> Callable[[Array], Array]:
-    """Interpolation of a nodal field of the surface at reference points (..., 2), y before x.
-
-    Cubic where the nodes are evenly spaced, since linear interpolation flattens relief of a few
-    elements by several per cent; linear in the graded rows along the edges, where the pressure
-    rises too steeply for a cubic.
-    """
-    from scipy.interpolate import RectBivariateSpline, RegularGridInterpolator  # slow to load
-
-    linear = RegularGridInterpolator((grid.y, grid.x), field)
-    even = [_evenly_spaced(nodes) for nodes in (grid.y, grid.x)]
-    if min(part.stop - part.start for part in even) < 4:
-        return linear
-    y, x = grid.y[even[0]], grid.x[even[1]]
-    cubic = RectBivariateSpline(y, x, field[even[0], even[1]])
-
-    def interpolated(points: Array) -> Array:
-        inside = ((points >= (y[0], x[0])) & (points <= (y[-1], x[-1]))).all(-1)
-        out = np.empty(points.shape[:-1])
-        out[inside] = cubic.ev(*points[inside].T)
-        out[~inside] = linear(points[~inside])
-        return out
-
-    return interpolated
-
-
-def _evenly_spaced(nodes: Array) -> slice:
-    """The inner nodes between which the spacing is the usual one."""
-    widths = np.diff(nodes)
-    usual = np.nonzero(np.isclose(widths, widths[widths.size // 2], rtol=1e-3))[0]
-    return slice(int(usual[0]), int(usual[-1]) + 2)
-
-
-def _maps(
-    solution: Solution,
-    surface: dict[str, Array],
-    loaded: xr.DataArray,
-    algebraic: xr.DataArray,
-    sizes: tuple[float, float, float],
-) -> xr.Dataset:
-    """Surface fields in the laboratory frame, on even points as far apart as the element size."""
-    grid = solution.problem.grid
-    x0, x1, y0, y1 = layer_extent_of(loaded)
-    x, y = node_positions(x1 - x0, sizes[0], x0), node_positions(y1 - y0, sizes[1], y0)
-    target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
-    moved = [
-        _interpolator(grid, shift)
-        for shift in (surface["y"] - grid.y[:, None], surface["x"] - grid.x)
-    ]
-    lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
-    reference = target
-    for _ in range(40):  # the material point that sits at each laboratory point
-        before = reference
-        reference = target - np.stack([by(np.clip(before, lower, upper)) for by in moved], -1)
-        if (np.abs(reference - before) < 1e-8 * (upper - lower)).all():
-            break
-    tolerance = 1e-6 * (upper - lower)
-    outside = ((reference < lower - tolerance) | (reference > upper + tolerance)).any(-1)
-    reference = np.clip(reference, lower, upper)
-
-    units = {
-        "contact_pressure": "contact pressure, positive in compression",
-        "axial_stress": "axial Cauchy stress, computational method",
-        "traction_x": "traction on the sample side of the layer, x",
-        "traction_y": "traction on the sample side of the layer, y",
-        "traction_z": "traction on the sample side of the layer, z",
-    }
-    maps = xr.Dataset(
-        coords={
-            "y": ("y", y, {"units": "mm", "long_name": "lateral position y"}),
-            "x": ("x", x, {"units": "mm", "long_name": "lateral position x"}),
-        }
-    )
-    for name, text in units.items():
-        values = np.where(outside, np.nan, _interpolator(grid, surface[name])(reference))
-        if name == "contact_pressure":
-            values = np.maximum(values, 0.0)  # a cubic may overshoot where contact ends
-        maps[name] = (("y", "x"), values, {"units": "kPa", "long_name": text})
-    from scipy.interpolate import RegularGridInterpolator  # slow to load
-
-    for name in ("contact_state", "window_contact_state"):
-        nearest = RegularGridInterpolator((grid.y, grid.x), surface[name], method="nearest")
-        values = np.where(outside, ContactState.OPEN, nearest(reference)).astype(np.int8)
-        maps[name] = (
-            ("y", "x"),
-            values,
-            {
-                "long_name": name.replace("_", " "),
-                "flag_values": [int(s) for s in ContactState],
-                "flag_meanings": " ".join(s.name.lower() for s in ContactState),
-            },
-        )
-    maps["loaded_thickness"] = loaded.interp(x=x, y=y, kwargs={"fill_value": "extrapolate"})
-    # Pixels beyond the layer have no stress: up to its border, go on from the last ones within.
-    within = algebraic.dropna("x", how="all").dropna("y", how="all")
-    stress = within.interp(x=x, y=y, kwargs={"fill_value": "extrapolate"})
-    maps["algebraic_axial_stress"] = np.minimum(stress, 0.0)
-    for name in ("loaded_thickness", "algebraic_axial_stress"):
-        maps[name].attrs = {
-            "units": {"loaded_thickness": "mm"}.get(name, "kPa"),
-            "long_name": {"loaded_thickness": "loaded thickness of the layer"}.get(
-                name, "axial Cauchy stress, algebraic method"
-            ),
-        }
-    return maps

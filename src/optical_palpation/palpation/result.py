@@ -41,8 +41,12 @@ class StressResult:
         Variables on ``(y, x)``, laboratory coordinates in mm, stress in kPa (tension positive):
         ``axial_stress``, ``contact_pressure`` (compression positive), ``traction_x``,
         ``traction_y``, ``traction_z``, ``contact_state``, ``window_contact_state``,
-        ``loaded_thickness`` (mm), ``algebraic_axial_stress``. The attributes hold the total forces
-        ``window_force_mN`` and ``sample_force_mN``, all parameters and the convergence record.
+        ``loaded_thickness`` (mm), ``algebraic_axial_stress``, ``edge_influence`` (fraction of the
+        contact pressure by which other sides of the layer would change it; NaN where the coarse
+        solutions behind it did not arrive). The attributes hold the total forces
+        ``window_force_mN`` and ``sample_force_mN``, all parameters, the convergence record, and of
+        the sides ``edge_influence_fraction`` (of the field, where it is above 5 %) and
+        ``edge_influence_force`` (change of the force), or ``edge_influence_unknown`` (why).
         The algebraic method fills only ``axial_stress`` (equal to ``algebraic_axial_stress``),
         and ``loaded_thickness``: it knows no contact.
     layer

@@ -9,7 +9,7 @@ from optical_palpation.present.output import check_outputs
 from optical_palpation.present.panel import write_panel
 from optical_palpation.present.profiles import centre_profiles, write_profiles
 from optical_palpation.present.report import write_report
-from optical_palpation.present.summary import summarise
+from optical_palpation.present.summary import edge_influence, summarise
 from optical_palpation.present.tiff import write_tiff
 from optical_palpation.present.vtk import write_vtk
 from optical_palpation.present.writing import write
@@ -17,6 +17,7 @@ from optical_palpation.present.writing import write
 __all__ = [
     "centre_profiles",
     "check_outputs",
+    "edge_influence",
     "read_result",
     "summarise",
     "write",

@@ -13,6 +13,7 @@ import xarray as xr
 
 from optical_palpation.analysis import Region
 from optical_palpation.errors import InputError
+from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic, provenance
 from optical_palpation.present.profiles import on_layer
@@ -28,6 +29,8 @@ Width = Literal["single", "double"] | float
 #: Widths of one and two columns, mm; those of most journals differ by no more than 5 mm.
 COLUMNS = {"single": 85.0, "double": 178.0}
 _MM = 1 / 25.4
+# Where the sides matter all over a map, hatching would only hide it.
+_ALL, _HATCH = 0.95, "#A0A0A0"
 _DPI = 300
 _STYLE: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
@@ -47,6 +50,7 @@ _STYLE: Any = {
     "grid.linewidth": 0.4,
     "grid.alpha": 0.4,
     "axes.axisbelow": True,
+    "hatch.linewidth": 0.4,
     "legend.frameon": False,
     "legend.handlelength": 1.4,
     "legend.columnspacing": 1.0,
@@ -235,6 +239,30 @@ def draw_map(
             figure.colorbar(mesh, ax=axes, fraction=0.05, extend=extend, extendfrac=0.03)
     _outline(axes, regions, field)
     return mesh
+
+
+def hatch_edges(axes: Axes, maps: xr.Dataset) -> None:
+    """Hatch the part of a map of the computational method where the layer's sides matter.
+
+    That is where ``edge_influence`` exceeds 5 %; a line below the axes says so.
+    """
+    influence = maps.get("edge_influence")
+    if influence is None:
+        return
+    values = influence.transpose("y", "x").fillna(0.0)
+    if not bool((values > NOTABLE).any()):
+        if bool(influence.isnull().all()):
+            axes.set_xlabel(f"{axes.get_xlabel()}\ninfluence of the sides unknown")
+        return
+    if bool((values > NOTABLE).mean() > _ALL):
+        axes.set_xlabel(f"{axes.get_xlabel()}\nsides matter everywhere (> {100 * NOTABLE:g} %)")
+        return
+    options: Any = {"levels": [NOTABLE, np.inf], "colors": "none", "hatches": ["////"]}
+    drawn = axes.contourf(values["x"], values["y"], values, **options)
+    drawn.set_edgecolor(_HATCH)
+    drawn.set_linewidth(0.0)
+    axes.contour(values["x"], values["y"], values, [NOTABLE], colors=_HATCH, linewidths=0.5)
+    axes.set_xlabel(f"{axes.get_xlabel()}\nhatched: sides matter (> {100 * NOTABLE:g} %)")
 
 
 def _scale_bar(axes: Axes, width: float) -> None:

@@ -32,6 +32,7 @@ _ATTRIBUTES: dict[str, dict[str, Any]] = {
     "window_contact_state": {**_STATE, "long_name": "contact between layer and window"},
     "loaded_thickness": {**_MM, "long_name": "loaded thickness of the layer"},
     "algebraic_axial_stress": {**_KPA, "long_name": "axial stress by the algebraic method"},
+    "edge_influence": {"units": "1", "long_name": "influence of the layer's sides"},
     "position": {**_MM, "long_name": "deformed position of the nodes"},
     "displacement": {**_MM, "long_name": "displacement of the nodes"},
     "cauchy_stress": {**_KPA, "long_name": "Cauchy stress, mean of each element"},

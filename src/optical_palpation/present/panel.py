@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.present.figure import Width, draw_map, figure_file, letter
+from optical_palpation.present.figure import Width, draw_map, figure_file, hatch_edges, letter
 from optical_palpation.present.profiles import centre_profiles, on_layer
 from optical_palpation.present.terms import ALGEBRAIC, COMPUTATIONAL, common_limits, term
 
@@ -24,7 +24,8 @@ def write_panel(result: StressResult, path: str | Path, width: Width = "double")
     Loaded thickness, axial stress by the algebraic and, if there is one, by the computational
     method on one colour scale, the state of contact with the sample, and the profiles through the
     centre along x and y. The colour scale spans the 1st to 99th percentile of both maps, so that
-    the few extreme values at the free edges do not hide the rest.
+    the few extreme values at the free edges do not hide the rest. Where the layer's sides change
+    the contact pressure by more than 5 % the map of the computational method is hatched.
 
     Parameters
     ----------
@@ -67,6 +68,8 @@ def draw_panel(maps: xr.Dataset, figure: Figure) -> None:
     for place, name in zip(places, shown, strict=True):
         what = term(maps, name)
         draw_map(axes[place], maps[name], what, limits=stress if what.scale == "stress" else None)
+    if computational:
+        hatch_edges(axes["C"], maps)
     axes["Y"].sharey(axes["X"])
     for axis, profile in zip("xy", centre_profiles(maps), strict=True):
         _plot_profile(axes[axis.upper()], axis, profile, methods)

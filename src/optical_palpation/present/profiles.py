@@ -22,6 +22,7 @@ _COLUMNS = {
     "traction_z": "traction_z_kPa",
     "contact_state": "contact_state",
     "window_contact_state": "window_contact_state",
+    "edge_influence": "edge_influence",
 }
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.profiles import on_layer
 
@@ -15,6 +16,8 @@ from optical_palpation.present.profiles import on_layer
 _NOTABLE_VOLUME_CHANGE = 1.0
 # Share of the total force that sides carry which roll onto window or sample.
 _NOTABLE_SIDES = 0.001
+#: Fraction of the map on which sides of the layer may matter before it is worth a word.
+NOTABLE_FRACTION = 0.01
 # Share of the map; more gaps than this say that something is wrong with it.
 _NOTABLE_FILLED = 0.2
 
@@ -29,6 +32,24 @@ def equilibrium(attrs: Mapping[Hashable, Any]) -> str:
     if attrs["sides_force_share"] > _NOTABLE_SIDES:
         text += f", sides carry {attrs['sides_force_share']:.1%} of the force"
     return text
+
+
+def edge_influence(attrs: Mapping[Hashable, Any], always: bool = False) -> str:
+    """Say how much the sides of the layer matter; "" where that is not known to be notable.
+
+    With `always`, also where it is not notable.
+    """
+    if unknown := attrs.get("edge_influence_unknown"):
+        return f"unknown ({unknown})"
+    if "edge_influence_fraction" not in attrs:
+        return ""
+    fraction, force = attrs["edge_influence_fraction"], attrs["edge_influence_force"]
+    if not always and fraction < NOTABLE_FRACTION and abs(force) < NOTABLE:
+        return ""
+    return (
+        f"were they {attrs['edge_influence_other']}, the pressure would change by more than "
+        f"{NOTABLE:.0%} on {fraction:.0%} of the map, and the force by {force:+.1%}"
+    )
 
 
 def summarise(result: StressResult) -> str:
@@ -66,6 +87,8 @@ def summarise(result: StressResult) -> str:
             if np.any(state == kind)
         ]
         lines.append("contact with the sample: " + ", ".join(shares))
+    if sides := edge_influence(maps.attrs):
+        lines.append(f"sides of the layer: {sides}")
     if open_share := maps.attrs.get("no_contact_share"):
         lines.append(f"not thinner than unloaded, so taken as open: {open_share:.2%} of the map")
     change = maps.attrs.get("volume_change_percent", 0.0)

@@ -58,6 +58,7 @@ _TERMS = {
     "initial_thickness": Term("Unloaded thickness", "mm", LENGTH, "thickness"),
     "filled": Term("Filled pixels", "", "flags", "flags"),
     "quality": Term("Quality of the boundaries", "", QUALITY, "quality"),
+    "edge_influence": Term("Influence of the sides", "", ERROR, "edge_influence"),
     "axial_stress_error": Term("Error of the axial stress", "kPa", ERROR, "error"),
     "difference": Term("Difference", "kPa", DIFFERENCE, "difference"),
 }

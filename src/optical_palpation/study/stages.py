@@ -199,6 +199,8 @@ def warnings_about(result: StressResult) -> list[str]:
             f"the unloaded map lay {x:+.3g} mm in x and {y:+.3g} mm in y off the loaded one and "
             "was shifted back by that"
         )
+    if sides := present.edge_influence(attrs):
+        said.append(f"sides of the layer: {sides}")
     if (imbalance := attrs.get("force_balance", 0.0)) > _NOTABLE_IMBALANCE:
         said.append(
             f"the forces at window and sample differ by {imbalance:.1%}: the solution is not in "

@@ -14,7 +14,7 @@ from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.figure import colour_map
 from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.report.maps import encode_map, encode_maps
-from optical_palpation.present.summary import equilibrium
+from optical_palpation.present.summary import edge_influence, equilibrium
 from optical_palpation.present.terms import (
     DIFFERENCE,
     LENGTH,
@@ -227,6 +227,8 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
         rows.append(("Difference of the two", f"{off:.2g} %" if off > 1e-3 else "below 0.001 %"))
     if "force_residual" in attrs:
         rows.append(("Equilibrium", equilibrium(attrs)))
+    if sides := edge_influence(attrs, always=True):
+        rows.append(("Sides of the layer", sides))
     for method, stress in methods(result).items():
         force = -float(stress.fillna(0.0).integrate(["y", "x"]))
         rows.append((f"Integral of the {method} map", f"{_number(force)} mN"))

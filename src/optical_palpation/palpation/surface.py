@@ -1,0 +1,236 @@
+"""What the loaded layer says: its stress tensor, and maps of what its sample side carries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from optical_palpation.mechanics.cascade import Solution
+from optical_palpation.mechanics.contact import area_vectors, friction_fraction
+from optical_palpation.mechanics.grid import LayerGrid, node_positions
+from optical_palpation.mechanics.newton import Balance
+from optical_palpation.mechanics.problem import SAMPLE, WINDOW
+from optical_palpation.palpation.result import ContactState
+from optical_palpation.thickness.frames import layer_extent_of
+
+Array = NDArray[np.float64]
+
+#: A node slips where friction has reached this share of its bound.
+SLIP_SHARE = 0.9
+
+
+def deformed_layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[str, Array]]:
+    """Deformed layer as a Dataset, and what its sample side carries at the surface nodes."""
+    problem, state = solution.problem, solution.state
+    grid = problem.grid
+    position = grid.nodes + state.u
+    force = now.force
+    stress = problem.body.stress(state.u, state.p)
+    touching = state.touching(problem)
+    share = friction_fraction(problem, state)
+    contact = np.where(share < SLIP_SHARE, ContactState.STICK, ContactState.SLIP)
+    contact = np.where(touching, contact, ContactState.OPEN).astype(np.int8)
+
+    area = grid.surface_areas(position[:, -1])
+    traction = {
+        WINDOW: force[:, 0] / grid.surface_areas(position[:, 0]),
+        SAMPLE: force[:, -1] / area,
+    }
+    _, hx, hy = problem.imprint.evaluate(position[0, -1], position[1, -1], 1.0)[:3]
+    slope = np.sqrt(1 + hx**2 + hy**2)
+    vertical_area = area_vectors(position[:, -1])[2]
+    pressure = np.where(touching[SAMPLE], state.normal_force[SAMPLE] / vertical_area, 0.0)
+    normal = np.stack([-hx, -hy, np.ones_like(hx)]) / slope
+    surface = {
+        "contact_pressure": pressure,
+        "axial_stress": surface_axial_stress(stress, normal, pressure),
+        **{f"traction_{c}": traction[SAMPLE][n] for n, c in enumerate("xyz")},
+        "contact_state": contact[SAMPLE],
+        "window_contact_state": contact[WINDOW],
+        "x": position[0, -1],
+        "y": position[1, -1],
+    }
+
+    def variable(dims: str, data: Array, units: str, name: str) -> tuple:
+        return dims.split(), data, {"units": units, "long_name": name}
+
+    flags = {
+        "flag_values": [int(s) for s in ContactState],
+        "flag_meanings": " ".join(s.name.lower() for s in ContactState),
+    }
+    layer = xr.Dataset(
+        {
+            "position": variable(
+                "z y x component", np.moveaxis(position, 0, -1), "mm", "deformed node position"
+            ),
+            "displacement": variable(
+                "z y x component", np.moveaxis(state.u, 0, -1), "mm", "node displacement"
+            ),
+            "cauchy_stress": variable(
+                "cell_z cell_y cell_x tensor", np.moveaxis(stress, 0, -1), "kPa", "Cauchy stress"
+            ),
+            "sample_traction": variable(
+                "y x component", np.moveaxis(traction[SAMPLE], 0, -1), "kPa", "sample-side traction"
+            ),
+            "window_traction": variable(
+                "y x component", np.moveaxis(traction[WINDOW], 0, -1), "kPa", "window traction"
+            ),
+            "sample_contact_state": (("y", "x"), contact[SAMPLE], flags),
+            "window_contact_state": (("y", "x"), contact[WINDOW], flags),
+        },
+        {
+            "x": variable("x", grid.x, "mm", "reference position x"),
+            "y": variable("y", grid.y, "mm", "reference position y"),
+            "z": variable("z", grid.depth, "1", "reference depth over unloaded thickness"),
+            "component": ["x", "y", "z"],
+            "tensor": ["xx", "yy", "zz", "yz", "xz", "xy"],
+        },
+    )
+    return layer, surface
+
+
+def surface_axial_stress(stress: Array, normal: Array, pressure: Array) -> Array:
+    """Cauchy zz at the sample-side nodes.
+
+    The stress of the elements is extrapolated to the surface and averaged onto the nodes; then its
+    hydrostatic part, which oscillates from element to element in constant-pressure bricks, is
+    replaced so that the stress normal to the surface is the contact pressure.
+    """
+    top = stress[:, -1] if stress.shape[1] == 1 else 1.5 * stress[:, -1] - 0.5 * stress[:, -2]
+    padded = np.pad(top, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    xx, yy, zz, yz, xz, xy = 0.25 * (
+        padded[:, 1:, 1:] + padded[:, :-1, 1:] + padded[:, 1:, :-1] + padded[:, :-1, :-1]
+    )
+    nx, ny, nz = normal
+    along = nx * nx * xx + ny * ny * yy + nz * nz * zz
+    along += 2 * (ny * nz * yz + nx * nz * xz + nx * ny * xy)
+    return zz - along - pressure
+
+
+def _interpolator(grid: LayerGrid, field: Array) -> Callable[[Array], Array]:
+    """Interpolation of a nodal field of the surface at reference points (..., 2), y before x.
+
+    Cubic where the nodes are evenly spaced, since linear interpolation flattens relief of a few
+    elements by several per cent; linear in the graded rows along the edges, where the pressure
+    rises too steeply for a cubic.
+    """
+    from scipy.interpolate import RectBivariateSpline, RegularGridInterpolator  # slow to load
+
+    linear = RegularGridInterpolator((grid.y, grid.x), field)
+    even = [_evenly_spaced(nodes) for nodes in (grid.y, grid.x)]
+    if min(part.stop - part.start for part in even) < 4:
+        return linear
+    y, x = grid.y[even[0]], grid.x[even[1]]
+    cubic = RectBivariateSpline(y, x, field[even[0], even[1]])
+
+    def interpolated(points: Array) -> Array:
+        inside = ((points >= (y[0], x[0])) & (points <= (y[-1], x[-1]))).all(-1)
+        out = np.empty(points.shape[:-1])
+        out[inside] = cubic.ev(*points[inside].T)
+        out[~inside] = linear(points[~inside])
+        return out
+
+    return interpolated
+
+
+def _evenly_spaced(nodes: Array) -> slice:
+    """The inner nodes between which the spacing is the usual one."""
+    widths = np.diff(nodes)
+    usual = np.nonzero(np.isclose(widths, widths[widths.size // 2], rtol=1e-3))[0]
+    return slice(int(usual[0]), int(usual[-1]) + 2)
+
+
+def material_points(
+    grid: LayerGrid, x: Array, y: Array, target: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Reference points of the surface that lie at points of the laboratory frame.
+
+    Parameters
+    ----------
+    grid
+        The layer's grid.
+    x, y
+        Deformed positions of the surface nodes, mm, (ny + 1, nx + 1).
+    target
+        Points (..., 2) in mm, y before x.
+
+    Returns
+    -------
+    tuple
+        Points (..., 2) of the unloaded layer, and which of `target` (...) the layer does not cover.
+    """
+    moved = [_interpolator(grid, y - grid.y[:, None]), _interpolator(grid, x - grid.x)]
+    lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
+    reference = target
+    for _ in range(40):
+        before = reference
+        reference = target - np.stack([by(np.clip(before, lower, upper)) for by in moved], -1)
+        if (np.abs(reference - before) < 1e-8 * (upper - lower)).all():
+            break
+    tolerance = 1e-6 * (upper - lower)
+    outside = ((reference < lower - tolerance) | (reference > upper + tolerance)).any(-1)
+    return np.clip(reference, lower, upper), outside
+
+
+def surface_maps(
+    solution: Solution,
+    surface: dict[str, Array],
+    loaded: xr.DataArray,
+    algebraic: xr.DataArray,
+    sizes: tuple[float, float, float],
+) -> xr.Dataset:
+    """Surface fields in the laboratory frame, on even points as far apart as the element size."""
+    grid = solution.problem.grid
+    x0, x1, y0, y1 = layer_extent_of(loaded)
+    x, y = node_positions(x1 - x0, sizes[0], x0), node_positions(y1 - y0, sizes[1], y0)
+    target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
+    reference, outside = material_points(grid, surface["x"], surface["y"], target)
+
+    units = {
+        "contact_pressure": "contact pressure, positive in compression",
+        "axial_stress": "axial Cauchy stress, computational method",
+        "traction_x": "traction on the sample side of the layer, x",
+        "traction_y": "traction on the sample side of the layer, y",
+        "traction_z": "traction on the sample side of the layer, z",
+    }
+    maps = xr.Dataset(
+        coords={
+            "y": ("y", y, {"units": "mm", "long_name": "lateral position y"}),
+            "x": ("x", x, {"units": "mm", "long_name": "lateral position x"}),
+        }
+    )
+    for name, text in units.items():
+        values = np.where(outside, np.nan, _interpolator(grid, surface[name])(reference))
+        if name == "contact_pressure":
+            values = np.maximum(values, 0.0)  # a cubic may overshoot where contact ends
+        maps[name] = (("y", "x"), values, {"units": "kPa", "long_name": text})
+    from scipy.interpolate import RegularGridInterpolator  # slow to load
+
+    for name in ("contact_state", "window_contact_state"):
+        nearest = RegularGridInterpolator((grid.y, grid.x), surface[name], method="nearest")
+        values = np.where(outside, ContactState.OPEN, nearest(reference)).astype(np.int8)
+        maps[name] = (
+            ("y", "x"),
+            values,
+            {
+                "long_name": name.replace("_", " "),
+                "flag_values": [int(s) for s in ContactState],
+                "flag_meanings": " ".join(s.name.lower() for s in ContactState),
+            },
+        )
+    maps["loaded_thickness"] = loaded.interp(x=x, y=y, kwargs={"fill_value": "extrapolate"})
+    # Pixels beyond the layer have no stress: up to its border, go on from the last ones within.
+    within = algebraic.dropna("x", how="all").dropna("y", how="all")
+    stress = within.interp(x=x, y=y, kwargs={"fill_value": "extrapolate"})
+    maps["algebraic_axial_stress"] = np.minimum(stress, 0.0)
+    for name in ("loaded_thickness", "algebraic_axial_stress"):
+        maps[name].attrs = {
+            "units": {"loaded_thickness": "mm"}.get(name, "kPa"),
+            "long_name": {"loaded_thickness": "loaded thickness of the layer"}.get(
+                name, "axial Cauchy stress, algebraic method"
+            ),
+        }
+    return maps

@@ -1,0 +1,115 @@
+"""The influence of the layer's sides: nil where theory says so, and what finer grids find."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation import computational_stress, edges
+from optical_palpation.present import read_result, summarise, write_result
+from optical_palpation.present.figure import new_figure
+from optical_palpation.present.panel import draw_panel
+from optical_palpation.present.report.content import force_rows
+from optical_palpation.study import warnings_about
+from optical_palpation.thickness import thickness_map
+
+LAYER, FIELD = 0.5, 4.0
+LAW = MooneyRivlin(2.23, 0.703)
+
+
+def dent(depth, width, level=0.0, field=FIELD):
+    """Loaded thickness under a Gaussian bump of the sample."""
+    axis = np.linspace(0, field, 81)
+    y, x = np.meshgrid(axis, axis, indexing="ij")
+    bump = depth * np.exp(-((x - field / 2) ** 2 + (y - field / 2) ** 2) / (2 * width**2))
+    return thickness_map(LAYER - level - bump, x=axis, y=axis)
+
+
+def solved(loaded, friction=0.0, **options):
+    settings = {"window_friction": friction, "sample_friction": friction, "element_size": 0.25}
+    return computational_stress(loaded, LAYER, LAW, **settings | options)
+
+
+@pytest.fixture(scope="module")
+def rough():
+    """A flat layer between rough faces, by its sides, on finer elements than the comparison's."""
+    flat = dent(0.0, 1.0, level=0.05)
+    return {
+        sides: solved(flat, 0.3, edges=sides, element_size=(0.16, 0.16, 0.125))
+        for sides in ("free", "padded")
+    }
+
+
+def test_without_friction_the_sides_of_a_flat_layer_do_not_matter():
+    """Uniaxial compression everywhere, whether the layer ends or goes on."""
+    result = solved(dent(0.0, 1.0, level=0.05), friction=1e-4)  # enough to hold it
+    maps = result.maps
+    assert maps["edge_influence"].dims == ("y", "x")
+    assert maps["edge_influence"].attrs["units"] == "1"
+    assert float(maps["edge_influence"].max()) < 2e-3
+    assert maps.attrs["edge_influence_fraction"] == 0
+    assert maps.attrs["edge_influence_force"] == pytest.approx(0, abs=2e-3)
+    assert "sides of the layer" not in summarise(result)
+
+
+def test_the_coarse_comparison_finds_what_finer_grids_do(rough):
+    forces, pressures = {}, {}
+    for sides, result in rough.items():
+        pressures[sides] = result.maps["contact_pressure"].fillna(0)
+        forces[sides] = float(pressures[sides].mean())
+    here, there = pressures["free"], pressures["padded"]
+    true = np.abs(there - here) / np.maximum(here, here.mean())
+    found = rough["free"].maps["edge_influence"]
+    assert found.attrs["comment"].count("padded") == 1
+    assert rough["free"].maps.attrs["edge_influence_force"] == pytest.approx(
+        forces["padded"] / forces["free"] - 1, rel=0.1
+    )
+    assert rough["padded"].maps.attrs["edge_influence_force"] == pytest.approx(
+        forces["free"] / forces["padded"] - 1, rel=0.1
+    )
+    inner = {"x": slice(0.6, 3.4), "y": slice(0.6, 3.4)}
+    assert float(true.sel(inner).min()) > edges.NOTABLE
+    assert float(np.abs(found - true).sel(inner).mean()) < 0.15 * float(true.sel(inner).mean())
+    assert rough["free"].maps.attrs["edge_influence_fraction"] > 0.9
+
+
+def test_it_fades_with_the_distance_of_the_sides():
+    """The same dent in a field of twice the width."""
+    middle = {}
+    for width in (3.0, 6.0):
+        influence = solved(dent(0.06, 0.4, field=width), 0.1).maps["edge_influence"]
+        middle[width] = float(influence.sel(x=width / 2, y=width / 2, method="nearest"))
+    assert middle[6.0] < 0.6 * middle[3.0]
+    assert middle[3.0] < edges.NOTABLE
+
+
+def test_a_comparison_that_does_not_arrive_is_unknown_and_the_result_stays(monkeypatch, tmp_path):
+    monkeypatch.setattr(edges, "_ALLOWED", 1)
+    result = solved(dent(0.05, 0.4), 0.1)
+    assert result.maps.attrs["status"] == "converged"
+    assert bool(result.maps["edge_influence"].isnull().all())
+    assert "1 Newton iterations" in result.maps.attrs["edge_influence_unknown"]
+    assert "edge_influence_force" not in result.maps.attrs
+    assert "sides of the layer: unknown" in summarise(result)
+    write_result(result, tmp_path / "result.nc")
+    again = read_result(tmp_path / "result.nc")
+    xr.testing.assert_equal(again.maps["edge_influence"], result.maps["edge_influence"])
+
+
+def test_it_can_be_left_out():
+    maps = solved(dent(0.05, 0.4), 0.1, edge_check=False).maps
+    assert "edge_influence" not in maps
+    assert not any(key.startswith("edge_influence") for key in maps.attrs)
+
+
+def test_the_picture_and_the_report_say_where_the_sides_matter(rough, tmp_path):
+    maps = rough["free"].maps.copy()
+    for fraction, words in ((1.0, "sides matter everywhere"), (0.5, "hatched: sides matter")):
+        inside = np.arange(maps.sizes["x"]) < fraction * maps.sizes["x"]
+        maps["edge_influence"] = maps["edge_influence"].where(xr.DataArray(inside, dims="x"), 0.0)
+        with new_figure() as figure:
+            draw_panel(maps, figure)
+            assert any(words in axes.get_xlabel() for axes in figure.axes), words
+    (row,) = (text for name, text in force_rows(rough["free"]) if name == "Sides of the layer")
+    assert row.startswith("were they padded, the pressure would change by more than 5% on 100%")
+    assert any("sides of the layer" in text for text in warnings_about(rough["free"]))
