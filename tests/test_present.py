@@ -124,8 +124,8 @@ def test_netcdf_describes_itself(tmp_path):
         assert file["x"].attrs["units"] == "mm"
         state = file["contact_state"]
         assert state.dtype == np.int8
-        assert state.attrs["flag_meanings"].split() == ["open", "slip", "stick"]
-        assert list(state.attrs["flag_values"]) == [0, 1, 2]
+        assert state.attrs["flag_meanings"].split() == ["open", "slip", "stick", "glued"]
+        assert list(state.attrs["flag_values"]) == [0, 1, 2, 3]
         assert file["axial_stress"].compression == "gzip"
         assert file.attrs["spacing_x_mm"] == pytest.approx(0.5)
         assert file.attrs["origin_y_mm"] == -1

@@ -10,7 +10,7 @@ import xarray as xr
 
 from optical_palpation.analysis.uncertainty import Noise, propagate_uncertainty
 from optical_palpation.material import Law
-from optical_palpation.palpation.computational import Progress, computational_stress
+from optical_palpation.palpation.computational import Hold, Progress, computational_stress
 from optical_palpation.palpation.result import StressResult
 
 
@@ -19,8 +19,8 @@ def stress_uncertainty(
     initial_thickness: float | xr.DataArray,
     material: Law,
     *,
-    window_friction: float,
-    sample_friction: float,
+    window_friction: Hold,
+    sample_friction: Hold,
     window_friction_error: float = 0.05,
     sample_friction_error: float = 0.05,
     modulus_error: float = 0.0,
@@ -41,7 +41,7 @@ def stress_uncertainty(
     loaded, initial_thickness, material, window_friction, sample_friction
         As for :func:`~optical_palpation.palpation.computational_stress`.
     window_friction_error, sample_friction_error
-        Errors of the coefficients.
+        Errors of the coefficients; a glued face has none.
     modulus_error
         Relative error of the material's stiffness, common to its coefficients, which come from one
         fit.
@@ -82,14 +82,18 @@ def stress_uncertainty(
         "thickness": thickness_error,
         "thickness_noise": thickness_noise,
     }
-    errors = {name: error for name, error in given.items() if error}
+    errors = {
+        name: error
+        for name, error in given.items()
+        if error and not (isinstance(values[name], str) and values[name] == "glued")
+    }
     solves = sum(2 * (e.probes if isinstance(e, Noise) else 1) for e in errors.values())
     solves += nominal is None
     count = 0
 
     def solve(
-        window_friction: float,
-        sample_friction: float,
+        window_friction: Hold,
+        sample_friction: Hold,
         modulus: float,
         thickness: xr.DataArray,
         thickness_noise: xr.DataArray,

@@ -196,6 +196,9 @@ def _row(folder: Path, scan: Scan) -> tuple[dict[str, Any], NDArray[np.float32]]
     for key in ("c10_kPa", "c01_kPa", "bulk_to_shear", "window_friction", "sample_friction"):
         if key in about:
             row[key] = float(about[key])
+    for key in ("window_contact", "sample_contact"):
+        if key in about:
+            row[key] = str(about[key])
     for key in ("elements", "newton_iterations"):
         if key in about:
             row[key] = int(np.ravel(about[key])[0])

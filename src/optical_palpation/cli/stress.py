@@ -41,6 +41,13 @@ class Edges(StrEnum):
     PADDED = "padded"
 
 
+class Hold(StrEnum):
+    """What holds a face of the layer."""
+
+    FRICTION = "friction"
+    GLUED = "glued"
+
+
 class StressCommand(Command):
     """Lets ``--element-size`` take one value or three, which option parsers cannot express."""
 
@@ -91,6 +98,12 @@ def stress(
         float | None,
         typer.Option(metavar="NUMBER", help="Friction coefficient between layer and sample."),
     ] = None,
+    window: Annotated[
+        Hold, typer.Option(help="What holds the layer at the window; glued: it can't slip or open.")
+    ] = Hold.FRICTION,
+    sample: Annotated[
+        Hold, typer.Option(help="What holds the layer at the sample; a glued one can pull.")
+    ] = Hold.FRICTION,
     sample_motion: Annotated[
         str | None,
         typer.Option(
@@ -108,6 +121,13 @@ def stress(
         float | None,
         typer.Option(
             metavar="NUMBER", help="Smoothing of the imprint, mm; a small default is reported."
+        ),
+    ] = None,
+    slip_length: Annotated[
+        float | None,
+        typer.Option(
+            metavar="NUMBER",
+            help="Slip over which friction builds up, mm; by default 0.002 of the thickness.",
         ),
     ] = None,
     variable: Annotated[
@@ -162,9 +182,17 @@ def stress(
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
     """Compute the tactile stress behind a map of the loaded thickness of the layer."""
+    holds: dict[str, Any] = {}
+    for face, hold, friction in (
+        ("window", window, window_friction),
+        ("sample", sample, sample_friction),
+    ):
+        if hold is Hold.GLUED and friction is not None:
+            raise typer.BadParameter(f"--{face} glued leaves no place for --{face}-friction")
+        holds[face] = "glued" if hold is Hold.GLUED else friction
     needed = {
-        "--window-friction": window_friction,
-        "--sample-friction": sample_friction,
+        "--window-friction (or --window glued)": holds["window"],
+        "--sample-friction (or --sample glued)": holds["sample"],
         "--element-size": element_size,
     }
     layer_outputs = {"--vtk": vtk, "--deck": deck}
@@ -177,6 +205,8 @@ def stress(
             raise typer.BadParameter(absent_layer)
         if sample_motion:
             raise typer.BadParameter("the algebraic method makes no use of --sample-motion")
+    if deck and "glued" in holds.values():
+        raise typer.BadParameter("--deck: a deck has friction and no glued faces")
     sizes = _element_size(element_size)
 
     from optical_palpation import present, thickness
@@ -220,15 +250,14 @@ def stress(
     if thickness_is_map:
         initial = read(Path(initial_thickness), initial_variable)["thickness"]
 
-    check_stress(algebraic_stress(loaded, initial, material))
+    glued = sample is Hold.GLUED
+    check_stress(algebraic_stress(loaded, initial, material, glued=glued))
     if method is Method.ALGEBRAIC:
         from optical_palpation.palpation import algebraic_result
 
-        result = algebraic_result(loaded, initial, material)
+        result = algebraic_result(loaded, initial, material, glued=glued)
     else:
-        assert window_friction is not None  # refused above, as are the other two
-        assert sample_friction is not None
-        assert sizes is not None
+        assert sizes is not None  # refused above
         from optical_palpation.palpation import (
             computational_stress,
             read_sample_motion,
@@ -247,12 +276,13 @@ def stress(
                 loaded,
                 initial,
                 material,
-                window_friction=window_friction,
-                sample_friction=sample_friction,
+                window_friction=holds["window"],
+                sample_friction=holds["sample"],
                 element_size=sizes,
                 sample_motion=motion,
                 edges=edges.value,
                 imprint_smoothing=imprint_smoothing,
+                slip_length=slip_length,
                 threads=threads,
                 progress=progress,
             )

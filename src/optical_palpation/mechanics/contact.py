@@ -1,4 +1,4 @@
-"""Unilateral contact and Coulomb friction at the window and at the imprint.
+"""Contact at the window and at the imprint: unilateral with Coulomb friction, or glued.
 
 Each surface node has a vertical penetration phi of a rigid surface, -z at the window and
 z - h(x, y) at the imprint, and a vertical contact force N, the multiplier of phi <= 0.
@@ -35,6 +35,9 @@ before they touch: the band that rolls over is an element or two wide and carrie
 begins to carry decides whether Newton's method gets past it. For the same reason eps is larger
 at the window within ``LayerGrid.rim`` where the mesh is fine: the rim lifts off the window node by
 node, each with a snap.
+
+The nodes of a glued face are prescribed altogether: those at the window stay, those at the imprint
+go with the point that they lay on at first. What holds them is read off the internal forces.
 """
 
 from __future__ import annotations
@@ -86,8 +89,9 @@ class ContactLinearisation:
     the lateral stiffness by which contact forces turn with the element faces,
     over the neighbours 3 (dy + 1) + (dx + 1); ``spring`` the stiffness of the
     contact coordinate d, ``load`` the right-hand side that belongs to it; where ``rigid``, d is
-    prescribed as ``step`` instead, elsewhere ``step`` is what d is sought from. ``violation`` is
-    psi, mN. ``sides`` is the contact of the sides.
+    prescribed as ``step`` (x, y, d) instead, elsewhere ``step`` is what d is sought from. On a
+    glued face all of ``step`` is prescribed. ``violation`` is psi, mN, where glued c times the
+    distance from where the node belongs. ``sides`` is the contact of the sides.
     """
 
     penetration: Array
@@ -121,6 +125,16 @@ def complementarity_scale(problem: LayerProblem) -> Array:
     """Scale c of the complementarity equation, mN / mm, shape (ny + 1, nx + 1)."""
     grid = problem.grid
     return grid.areas * problem.shear_modulus / grid.spacing[0]
+
+
+def glued_displacement(problem: LayerProblem, face: int, load: float) -> Array:
+    """Displacement of the nodes of a glued face at a load, (3, ny + 1, nx + 1), mm."""
+    x, y, z = problem.grid.nodes[:, -1]
+    moved = np.zeros((3, *x.shape))
+    if face == SAMPLE:
+        moved[:2] = load * problem.imprint.velocity(x, y, 0.0)
+        moved[2] = problem.imprint.evaluate(x + moved[0], y + moved[1], load)[0] - z
+    return moved
 
 
 def slip_coordinate(problem: LayerProblem, state: LayerState) -> Array:
@@ -191,7 +205,8 @@ def linearise(
     spring = np.where(rigid, 0.0, slope * c / other)
     sign = np.array([-1.0, 1.0])[:, None, None]  # d is z: penetration grows with -d at the window
     load = np.where(rigid, 0.0, sign * (violation / other - normal))
-    step = np.where(stiff, sign * violation / (np.where(stiff, slope, 1.0) * c), 0.0)
+    step = np.zeros((2, 3, *c.shape))
+    step[:, 2] = np.where(stiff, sign * violation / (np.where(stiff, slope, 1.0) * c), 0.0)
 
     w = slip_coordinate(problem, state)
     q = np.sqrt(1 + (w**2).sum(1))
@@ -219,6 +234,17 @@ def linearise(
     )
     turning = np.zeros((*h.shape, 9, 2, 3))
     turning_stiffness(top, np.maximum(normal[SAMPLE], 0.0) / area[2], face_slope, turning)
+    for face, k in ((WINDOW, 0), (SAMPLE, -1)):
+        if problem.glued[face]:
+            step[face] = glued_displacement(problem, face, state.load) - state.u[:, k]
+            violation[face] = c * np.linalg.norm(step[face], axis=0)
+            for nothing in (row, column, traction, spring, load):
+                nothing[face] = 0.0
+            rigid[face] = True
+            # not part of the equations; it tells the linear solver that the face sticks
+            block[face] = STIFF * c * np.array([1.0, 0.0, 1.0])[:, None, None]
+            if face == SAMPLE:
+                turning[:] = 0.0
     return ContactLinearisation(
         penetration,
         violation,
@@ -351,6 +377,7 @@ def remember_slip(problem: LayerProblem, state: LayerState) -> None:
     size = np.sqrt((w**2).sum(1, keepdims=True))
     w *= np.minimum(1.0, MEMORY / np.maximum(size, 1e-300))
     state.slip = np.where(state.touching(problem)[:, None], w, 0.0)
+    state.slip[list(problem.glued)] = 0.0
     state.anchor, state.anchor_load = state.lateral(), state.load
 
 

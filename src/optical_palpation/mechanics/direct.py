@@ -141,7 +141,7 @@ def sparse_matrix(stencil: Vector, free: NDArray[np.bool_]) -> sp.csr_matrix:
     matrix = sp.csr_matrix(
         (stencil.reshape(-1)[source].astype(float), (rows, columns)), shape=(free.size, free.size)
     )
-    scale = np.abs(matrix.diagonal()).mean()
+    scale = np.abs(matrix.diagonal()).mean() or 1.0
     return sp.csr_matrix(matrix + sp.diags_array(np.where(free.ravel(), 0.0, scale)))
 
 
@@ -151,7 +151,7 @@ def dense_matrix(stencil: Vector, free: NDArray[np.bool_]) -> Vector:
     matrix = np.zeros((free.size, free.size), stencil.dtype)
     matrix[rows, columns] = stencil.reshape(-1)[source]
     diagonal = np.einsum("ii->i", matrix)
-    diagonal[~free.ravel()] = np.abs(diagonal).mean()
+    diagonal[~free.ravel()] = np.abs(diagonal).mean() or 1.0
     return matrix
 
 

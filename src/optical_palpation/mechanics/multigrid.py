@@ -100,6 +100,9 @@ class Level:
             self.mode[:] = 0
             self._step(self.r, 0.0, 1.0, self.mode)
             size = float(np.linalg.norm(self.mode.ravel()))
+            if size == 0:  # nothing is free: one element deep, between glued faces
+                self.mode, size = None, 1.0
+                break
             self.mode /= np.float32(size)
         self.largest = 1.1 * size
 

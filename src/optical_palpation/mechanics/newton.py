@@ -117,6 +117,11 @@ def balance(
     force, volume, volume_ref = body.force, body.volume, body.reference_volume
     if drag is not None:
         force += drag.force(problem, state.u)
+    glued = list(problem.glued)
+    if any(glued):
+        held = state.normal_force.copy()
+        held[glued] = np.stack([force[2, 0], -force[2, -1]])[glued]
+        state = replace(state, normal_force=held)
     if direction is None:
         direction = friction_direction(slip_coordinate(problem, state))
     bound = None if drag is None else drag.bound
@@ -125,6 +130,8 @@ def balance(
     for face, k, sign in ((WINDOW, 0, -1.0), (SAMPLE, -1, 1.0)):
         out[:2, k] += contact.row[face] * force[2, k] + contact.traction[face]
         out[2, k] += sign * state.normal_force[face]
+        if problem.glued[face]:
+            out[:, k] = 0.0
     if problem.edges == "free":
         out[:, *problem.grid.side_nodes] += contact.sides.force
     if problem.edges == "roller":
@@ -157,7 +164,7 @@ def _force_scale(problem: LayerProblem, state: LayerState) -> float:
     error of all else.
     """
     most = _PRESSURE * problem.shear_modulus * problem.grid.areas
-    return float(np.linalg.norm(np.minimum(state.normal_force, most)))
+    return float(np.linalg.norm(np.clip(state.normal_force, -most, most)))
 
 
 def _newton_step(

@@ -32,7 +32,7 @@ class LayerProblem:
     law
         The law of the layer.
     friction
-        Coulomb coefficients at the window and at the sample side.
+        Coulomb coefficients at the window and at the sample side; that of a glued face is not used.
     edges
         ``free`` sides carry no stress; ``roller`` sides have no normal displacement.
     slip_length
@@ -44,6 +44,9 @@ class LayerProblem:
         Whether elements know of the parabola through the depth of a layer that sticks
         (``side_flow``): for a layer that sticks to both faces worth twice as many elements through
         the depth; one that slides is computed for a quarter longer and no better.
+    glued
+        Whether window and sample side are glued to the layer: no slip and no opening, so that they
+        can pull. The sample side goes with those points of the imprint that it lay on at first.
     """
 
     grid: LayerGrid
@@ -54,6 +57,7 @@ class LayerProblem:
     slip_length: float = 1e-3
     rim_smoothing: float = 0.0
     curved_sides: bool = False
+    glued: tuple[bool, bool] = (False, False)
 
     @property
     def shear_modulus(self) -> float:
@@ -92,7 +96,8 @@ class LayerState:
     anchor
         Lateral displacement to which ``slip`` belongs, (2, 2, ny + 1, nx + 1), mm.
     normal_force
-        Vertical contact forces, compression positive, (2, ny + 1, nx + 1), mN.
+        Vertical contact forces, compression positive, (2, ny + 1, nx + 1), mN; of a glued face what
+        holds it, which may be tension.
     anchor_load
         Load at which ``anchor`` was laid; by default that of the state.
     """
@@ -132,9 +137,11 @@ class LayerState:
         return np.stack([self.u[:2, 0], self.u[:2, -1]])
 
     def touching(self, problem: LayerProblem) -> NDArray[np.bool_]:
-        """Return which surface nodes are in contact, (2, ny + 1, nx + 1)."""
+        """Return which surface nodes are in contact, (2, ny + 1, nx + 1); all of a glued face."""
         nodes = problem.grid.nodes + self.u
         height = problem.imprint.evaluate(nodes[0, -1], nodes[1, -1], self.load)[0]
         gap = np.stack([nodes[2, 0], height - nodes[2, -1]])
         scale = problem.shear_modulus / problem.grid.spacing[0]
-        return self.normal_force > scale * problem.grid.surface_areas(nodes[:, -1]) * gap
+        closed = self.normal_force > scale * problem.grid.surface_areas(nodes[:, -1]) * gap
+        closed[list(problem.glued)] = True
+        return closed

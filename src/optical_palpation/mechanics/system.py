@@ -42,9 +42,9 @@ class NewtonSystem:
         (A + gamma B V^-1 B^T) du + B (1 - gamma V^-1 C) dp = rhs
         B^T du - C dp                                       = volume_rhs
 
-    for the free unknowns, beyond the ``prescribed`` step of d on both faces: that of the others,
-    and where the search for those of stiff contact springs begins. All are in the solver's
-    precision: only residuals need more.
+    for the free unknowns, beyond the ``prescribed`` step of both faces (face, 3, ny + 1, nx + 1):
+    that of the others, and where the search for those of stiff contact springs begins. All are in
+    the solver's precision: only residuals need more.
     """
 
     stencil: Any
@@ -79,7 +79,7 @@ class NewtonSystem:
 
     def with_prescribed(self, du: Vector) -> Vector:
         """Put the prescribed step into du (in place)."""
-        du[2, [0, -1]] += self.prescribed.astype(du.dtype)
+        du[:, [0, -1]] += np.moveaxis(self.prescribed, 0, 1).astype(du.dtype)
         return du
 
     def to_cartesian(self, du: Vector) -> Vector:
@@ -173,10 +173,11 @@ def assemble(
         if problem.edges == "free":
             _add_side_stiffness(diagonal, k, grid.side_nodes, contact.sides.stiffness)
         for face, there in faces:
-            if abs(there - k) <= 1 and prescribed[face].any():
-                dz = there - k + 1
-                columns = plane[:, 9 * dz : 9 * dz + 9, 2::3, :nx1]
-                residual[:, k] += _column_product(columns, prescribed[face])
+            dz = there - k + 1
+            for c in range(3):
+                if 0 <= dz <= 2 and prescribed[face, c].any():
+                    columns = plane[:, 9 * dz : 9 * dz + 9, c::3, :nx1]
+                    residual[:, k] += _column_product(columns, prescribed[face, c])
         constrain(plane, free, k)
         solver.store(k, plane)
     penalty = (solver.gamma / now.volume_ref * volume_residual).astype(solver.dtype)
@@ -198,9 +199,12 @@ def _add_side_stiffness(diagonal: Vector, k: int, sides: tuple, stiffness: Array
 def constraints(
     problem: LayerProblem, contact: ContactLinearisation
 ) -> tuple[NDArray[np.bool_], Array]:
-    """Free degrees of freedom, and the step of d on both faces prescribed or sought from, mm."""
+    """Free degrees of freedom, and the step of both faces prescribed or sought from, mm."""
     free = np.ones((3, *problem.grid.node_shape), bool)
     free[2, [0, -1]] = ~contact.rigid
+    for face, k in ((WINDOW, 0), (SAMPLE, -1)):
+        if problem.glued[face]:
+            free[:, k] = False
     if problem.edges == "roller":
         free[0, :, :, [0, -1]] = False
         free[1, :, [0, -1], :] = False
@@ -308,7 +312,7 @@ def _vertical_product(rows: Vector, du: Vector, first: int) -> Vector:
 
 
 def _column_product(columns: Vector, step: Array) -> Vector:
-    """Forces (3, ny1, nx1) on a plane by the vertical step of a face, [y, 3 dy + dx, row, x]."""
+    """Forces (3, ny1, nx1) on a plane by one component of a face's step, [y, 3 dy + dx, row, x]."""
     ny1, _, _, nx1 = columns.shape
     padded = np.pad(step.astype(columns.dtype), 1)
     out = np.zeros((3, ny1, nx1), columns.dtype)

@@ -16,12 +16,16 @@ from optical_palpation.thickness.initial import match_initial_thickness
 
 
 def algebraic_stress(
-    loaded: xr.DataArray, initial_thickness: float | xr.DataArray, material: Law
+    loaded: xr.DataArray,
+    initial_thickness: float | xr.DataArray,
+    material: Law,
+    *,
+    glued: bool = False,
 ) -> xr.DataArray:
     """Axial stress from the strain of each pixel alone, ``E(strain) * strain``.
 
     The strain is ``(L1 - L0) / L0`` and E the strain-adjusted (secant) Young's modulus of the
-    incompressible layer in uniaxial compression without friction; the bulk-to-shear ratio does not
+    incompressible layer in a uniaxial test without friction; the bulk-to-shear ratio does not
     enter. The stress is the axial Cauchy stress, force per deformed area, because it is compared
     with the Cauchy stress of the computational method and the map shows the deformed layer.
 
@@ -34,20 +38,22 @@ def algebraic_stress(
         :func:`~optical_palpation.thickness.match_initial_thickness`.
     material
         Law of the layer.
+    glued
+        Whether the sample is glued to the layer: where L1 > L0 it then pulls.
 
     Returns
     -------
     xarray.DataArray
         ``algebraic_axial_stress`` in kPa on the coordinates of `loaded`, negative where the layer
-        is pressed, exactly zero where it is not (L1 >= L0), NaN where `loaded` is missing or
-        outside the layer's extent.
+        is pressed, exactly zero where it is not (L1 >= L0) unless it is glued, NaN where `loaded`
+        is missing or outside the layer's extent.
 
     Raises
     ------
     InputError
         If loaded and initial thickness are no thicknesses or do not fit together.
     MaterialError
-        If a pixel is compressed beyond the strain up to which the material is stable.
+        If a pixel is compressed or stretched beyond the strain up to which the material is stable.
     """
     if not isinstance(material, Law):
         raise InputError(
@@ -55,11 +61,17 @@ def algebraic_stress(
             f"{type(material).__name__} {str(material)[:40]!r}"
         )
     loaded = on_grid(loaded)
-    initial = match_initial_thickness(initial_thickness, loaded)
+    initial = match_initial_thickness(initial_thickness, loaded, glued=glued)
     stretch = np.where(inside_layer(loaded), loaded.values / initial.values, np.nan)
-    # Out of contact the layer bears nothing: the map shows the gap, not a stretched layer.
-    stretch = np.minimum(stretch, 1.0)
-    lowest = material.stable_stretches()[0]
+    lowest, highest = material.stable_stretches()
+    if not glued:
+        # Out of contact the layer bears nothing: the map shows the gap, not a stretched layer.
+        stretch = np.minimum(stretch, 1.0)
+    elif np.nanmax(stretch) >= highest:
+        raise MaterialError(
+            f"the layer is stretched by {100 * (np.nanmax(stretch) - 1):.3g} %, but the material "
+            f"{material.describe()} is stable only up to {100 * (highest - 1):.3g} %"
+        )
     if np.nanmin(stretch) <= lowest:
         raise MaterialError(
             f"the layer is compressed by {100 * (1 - np.nanmin(stretch)):.3g} %, but the material "
@@ -77,7 +89,11 @@ def algebraic_stress(
 
 
 def algebraic_result(
-    loaded: xr.DataArray, initial_thickness: float | xr.DataArray, material: Law
+    loaded: xr.DataArray,
+    initial_thickness: float | xr.DataArray,
+    material: Law,
+    *,
+    glued: bool = False,
 ) -> StressResult:
     """Compute the algebraic stress as a result that can be drawn, written and summarised.
 
@@ -91,8 +107,8 @@ def algebraic_result(
         pixel knows no contact: there is neither a ``contact_state`` nor a ``layer``.
     """
     loaded = on_grid(loaded)
-    initial = match_initial_thickness(initial_thickness, loaded)
-    stress = algebraic_stress(loaded, initial, material)
+    initial = match_initial_thickness(initial_thickness, loaded, glued=glued)
+    stress = algebraic_stress(loaded, initial, material, glued=glued)
     maps = xr.Dataset(
         {
             "axial_stress": stress,

@@ -7,7 +7,7 @@ carries the measured loaded thickness, as the paper's window and sample contact 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,7 +24,14 @@ from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.edges import edge_influence
 from optical_palpation.palpation.memory import check_memory
-from optical_palpation.palpation.meshing import Edges, expected_forces, layer_problem
+from optical_palpation.palpation.meshing import (
+    SLIP_LENGTH,
+    SLIP_LENGTHS,
+    Edges,
+    Hold,
+    expected_forces,
+    layer_problem,
+)
 from optical_palpation.palpation.motion import match_sample_motion
 from optical_palpation.palpation.plausibility import check_elements, unusual
 from optical_palpation.palpation.result import StressResult
@@ -52,12 +59,13 @@ def computational_stress(
     initial_thickness: float | xr.DataArray,
     material: Law,
     *,
-    window_friction: float,
-    sample_friction: float,
+    window_friction: Hold,
+    sample_friction: Hold,
     element_size: float | Sequence[float],
     sample_motion: xr.Dataset | None = None,
     edges: Edges = "free",
     imprint_smoothing: float | None = None,
+    slip_length: float | None = None,
     solver: Literal["auto", "multigrid", "direct"] = "auto",
     threads: int | None = None,
     edge_check: bool = True,
@@ -70,13 +78,14 @@ def computational_stress(
     loaded
         Loaded thickness L1 in mm on ``(y, x)``, without missing values
         (:func:`~optical_palpation.thickness.clean_thickness`). Where it exceeds the unloaded
-        thickness the sample does not touch.
+        thickness the sample does not touch, or pulls if it is glued.
     initial_thickness
         Unloaded thickness L0 in mm, a number or a map.
     material
         Law of the layer.
     window_friction, sample_friction
-        Coulomb coefficients between window and layer, layer and sample.
+        Coulomb coefficients between window and layer, layer and sample; or ``"glued"``, where the
+        layer neither slips nor lifts off, as one that was cast onto the window.
     element_size
         Size of the elements in mm: one value, or three for x, y and z. It is adjusted so that whole
         elements fit.
@@ -92,6 +101,9 @@ def computational_stress(
     imprint_smoothing
         Standard deviation in mm of the Gaussian that smooths the imprint; by default half the
         lateral element size, the finest relief that the elements can follow.
+    slip_length
+        Slip in mm over which friction builds up to 0.7 of its bound (the smoothing of Coulomb's
+        law); by default 0.002 of the thickness. `docs/choosing.md` says what it changes.
     solver
         ``multigrid``, ``direct`` (sparse LU, for small grids) or ``auto``.
     threads
@@ -119,17 +131,20 @@ def computational_stress(
         If the full load is not reached.
     """
     loaded = on_grid(loaded)
-    _check_numbers(window_friction, sample_friction, edges, imprint_smoothing, solver, threads)
+    held = {"window": window_friction, "sample": sample_friction}
+    _check_numbers(held, edges, imprint_smoothing, solver, threads)
+    glued = {face: hold == "glued" for face, hold in held.items()}
     if bool(loaded.isnull().any()):
         raise InputError(
             f"the loaded thickness has {int(loaded.isnull().sum())} missing values: fill them with "
             "clean_thickness first"
         )
-    initial = match_initial_thickness(initial_thickness, loaded)
+    initial = match_initial_thickness(initial_thickness, loaded, glued=glued["sample"])
     if bool(initial.isnull().any()):
         raise InputError("the unloaded thickness has missing values: fill them first")
     motion = None if sample_motion is None else match_sample_motion(sample_motion, loaded)
-    algebraic = algebraic_stress(loaded, initial, material)
+    algebraic = algebraic_stress(loaded, initial, material, glued=glued["sample"])
+    slip_length = _slip_length(slip_length, float(initial.median()))
     sizes = _element_sizes(element_size, loaded, float(initial.median()))
     smoothing = 0.5 * float(np.sqrt(sizes[0] * sizes[1]))
     if imprint_smoothing is not None:
@@ -140,8 +155,9 @@ def computational_stress(
                 f"imprint_smoothing of {smoothing:g} mm is larger than a quarter of the field of "
                 f"view, {widest:g} mm, and would leave no relief (it is in mm)"
             )
-    friction = window_friction, sample_friction
-    problem = layer_problem(loaded, initial, motion, material, friction, sizes, edges, smoothing)
+    problem = layer_problem(
+        loaded, initial, motion, material, held, sizes, edges, smoothing, slip_length
+    )
     check_memory(problem, solver)
 
     newton = 0
@@ -180,8 +196,8 @@ def computational_stress(
         "method": "computational",
         **material.attributes,
         "bulk_to_shear": material.bulk_to_shear,
-        "window_friction": float(window_friction),
-        "sample_friction": float(sample_friction),
+        **{f"{face}_contact": "glued" if stuck else "friction" for face, stuck in glued.items()},
+        **{f"{face}_friction": float(held[face]) for face, stuck in glued.items() if not stuck},
         "initial_thickness_mm": float(initial.where(inside_layer(loaded)).mean()),
         "element_size_mm": list(problem.grid.spacing[::-1]),
         "elements": list(problem.grid.shape[::-1]),
@@ -189,7 +205,7 @@ def computational_stress(
         "imprint_smoothing_mm": smoothing,
         "window_force_mN": window_force,
         "sample_force_mN": sample_force,
-        "force_balance": abs(window_force - sample_force) / max(window_force, 1e-30),
+        "force_balance": abs(window_force - sample_force) / max(abs(window_force), 1e-30),
         "no_contact_share": algebraic.attrs["no_contact_share"],
         "newton_iterations": solution.newton_iterations,
         "convergence": json.dumps(
@@ -205,7 +221,7 @@ def computational_stress(
         "volume_residual": now.volume_error,
         "volume_tolerance": TOLERANCES.volume,
         "smallest_volume_ratio": now.min_jacobian,
-        "sides_force_share": float(sides.max()) / max(window_force, 1e-30),
+        "sides_force_share": float(sides.max()) / max(abs(window_force), 1e-30),
         "slip_length_mm": problem.slip_length,
     }
     if edge_check:
@@ -224,18 +240,24 @@ def computational_stress(
 
 
 def _check_numbers(
-    window_friction: float,
-    sample_friction: float,
+    held: Mapping[str, Hold],
     edges: str,
     smoothing: float | None,
     solver: str,
     threads: int | None,
 ) -> None:
-    for name, value in (("window_friction", window_friction), ("sample_friction", sample_friction)):
-        if not (_is_number(value) and value >= 0):
-            raise InputError(f"{name} must be a number of at least 0, not {value!r}")
+    for face, value in held.items():
+        if value == "glued":
+            continue
+        if isinstance(value, str) or not (_is_number(value) and value >= 0):
+            raise InputError(
+                f'{face}_friction must be a number of at least 0 or "glued", not {value!r}'
+            )
         if value > 2:
-            raise InputError(f"{name} is {value:g}: no interface has a coefficient above 2")
+            raise InputError(
+                f"{face}_friction is {value:g}: no interface has a coefficient above 2; a layer "
+                'that cannot slip is "glued"'
+            )
     if edges not in ("free", "roller", "padded"):
         raise InputError(f"edges must be free, roller or padded, not {edges!r}")
     if smoothing is not None and not (_is_number(smoothing) and smoothing >= 0):
@@ -244,6 +266,22 @@ def _check_numbers(
         raise InputError(f"solver must be auto, multigrid or direct, not {solver!r}")
     if threads is not None and not (isinstance(threads, int | np.integer) and threads >= 1):
         raise InputError(f"threads must be a whole number of at least 1, not {threads!r}")
+
+
+def _slip_length(given: float | None, thickness: float) -> float:
+    """Return the slip length, mm, by default in proportion to the thickness."""
+    if given is None:
+        return SLIP_LENGTH * thickness
+    if not (_is_number(given) and given > 0):
+        raise InputError(f"slip_length must be a positive number of mm, not {given!r}")
+    low, high = (share * thickness for share in SLIP_LENGTHS)
+    if not low <= given <= high:
+        raise InputError(
+            f"slip_length is {given:g} mm; on a layer of {thickness:.3g} mm it must lie between "
+            f"{low:.3g} mm, below which friction flickers, and {high:.3g} mm, above which it is no "
+            "friction any more (it is in mm)"
+        )
+    return float(given)
 
 
 def _is_number(value: object) -> bool:

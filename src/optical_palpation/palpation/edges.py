@@ -47,9 +47,9 @@ class EdgeInfluence:
         The sides that those of the layer were compared with: ``padded``, or ``free`` where the
         layer is padded.
     values
-        |p' - p| / max(p, mean of p) at the points of the maps, where p is the contact pressure with
-        the sides that the layer has and p' with the others; NaN where there is no layer, and where
-        unknown.
+        |p' - p| / max(|p|, mean of |p|) at the points of the maps, where p is the contact pressure
+        with the sides that the layer has and p' with the others; NaN where there is no layer, and
+        where unknown.
     force
         Change of the force over the field of view with the other sides, as a fraction; NaN where
         unknown.
@@ -123,11 +123,11 @@ def edge_influence(
 def _compared(other: Edges, here: Array, there: Array) -> EdgeInfluence:
     covered = np.isfinite(here) | np.isfinite(there)
     here, there = np.nan_to_num(here), np.nan_to_num(there)
-    mean = float(here.mean())
+    mean = float(np.abs(here).mean())
     if mean == 0.0:  # nothing touches, whatever the sides
         return EdgeInfluence(other, np.where(covered, 0.0, np.nan), 0.0)
-    values = np.where(covered, np.abs(there - here) / np.maximum(here, mean), np.nan)
-    return EdgeInfluence(other, values, float(there.mean()) / mean - 1)
+    values = np.where(covered, np.abs(there - here) / np.maximum(np.abs(here), mean), np.nan)
+    return EdgeInfluence(other, values, float((there - here).mean()) / mean)
 
 
 def _coarse(

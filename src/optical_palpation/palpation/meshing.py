@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -17,12 +18,17 @@ from optical_palpation.mechanics.grid import (
     node_positions,
 )
 from optical_palpation.mechanics.imprint import Imprint
-from optical_palpation.mechanics.problem import LayerProblem
+from optical_palpation.mechanics.problem import SAMPLE, LayerProblem
 from optical_palpation.thickness.frames import layer_extent_of
 
 Array = NDArray[np.float64]
 Edges = Literal["free", "roller", "padded"]
+#: What holds a face of the layer: Coulomb friction of this coefficient, or glue.
+Hold = float | Literal["glued"]
 
+#: Slip length of the friction law, in thicknesses: by default (1 um on a layer of 0.5 mm), and
+#: between which bounds.
+SLIP_LENGTH, SLIP_LENGTHS = 2e-3, (1e-5, 0.05)
 #: Width, in thicknesses, by which ``padded`` edges continue the layer past the field of view.
 PADDING = 3.0
 #: Smoothing of contact at the rim of finely meshed layers (``LayerProblem.rim_smoothing``), which
@@ -35,12 +41,13 @@ def layer_problem(
     initial: xr.DataArray,
     motion: xr.DataArray | None,
     material: Law,
-    friction: tuple[float, float],
+    held: Mapping[str, Hold],
     sizes: tuple[float, float, float],
     edges: Edges,
     smoothing: float,
+    slip_length: float,
 ) -> LayerProblem:
-    """Mesh the layer and make the imprint."""
+    """Mesh the layer and make the imprint; ``held`` says what holds ``window`` and ``sample``."""
     x0, x1, y0, y1 = layer_extent_of(loaded)
     thickness = float(initial.median())
     x, y = _uniform(loaded["x"].values), _uniform(loaded["y"].values)
@@ -58,15 +65,17 @@ def layer_problem(
     if edges == "padded":
         nodes_x, nodes_y = (padded_nodes(n, PADDING * thickness) for n in (nodes_x, nodes_y))
     unloaded = imprint.evaluate(*np.meshgrid(nodes_x, nodes_y), 0.0)[0]
+    glued = held["window"] == "glued", held["sample"] == "glued"
+    window, sample = (0.0 if hold == "glued" else hold for hold in (held["window"], held["sample"]))
     return LayerProblem(
         grid=LayerGrid(nodes_x, nodes_y, depth, unloaded),
         imprint=imprint,
         law=material,
-        friction=friction,
+        friction=(window, sample),
         edges="roller" if edges == "roller" else "free",
-        # friction builds up over 1 um on a layer of 0.5 mm, in proportion on others
-        slip_length=2e-3 * thickness,
+        slip_length=slip_length,
         rim_smoothing=_rim_smoothing(depth) if edges == "free" else 0.0,
+        glued=glued,
     )
 
 
@@ -102,6 +111,7 @@ def expected_forces(level: LayerProblem, material: Law) -> Array:
     stress = material.strain_adjusted_modulus(strain) * -strain
     if level.edges == "roller":
         # with nowhere to go the layer answers to the loss of volume with its bulk modulus
-        lost = 1 - np.minimum(height, grid.thickness).mean() / grid.thickness.mean()
+        highest = np.inf if level.glued[SAMPLE] else grid.thickness
+        lost = 1 - np.minimum(height, highest).mean() / grid.thickness.mean()
         stress = stress + material.bulk_modulus * lost
     return stress * grid.areas

@@ -24,6 +24,9 @@ STIFF_LAYER = 3e3
 LARGEST_MEAN_STRESS = 1e3
 #: Widest field and thickest layer, mm: an ultrasound array sees 60 mm by 40 mm.
 WIDEST_FIELD, THICKEST_LAYER = 500.0, 100.0
+#: Hydrostatic tension, in Young's moduli, at which bonded rubber tears open from within (Gent and
+#: Lindley, Proc. R. Soc. A 249:195, 1959).
+CAVITATION = 5 / 6
 
 
 def check_layer(law: Law) -> None:
@@ -105,7 +108,7 @@ def check_stress(algebraic: xr.DataArray) -> None:
     InputError
         With the stress, and what may have happened.
     """
-    mean = -float(algebraic.mean())
+    mean = abs(float(algebraic.mean()))
     if mean > LARGEST_MEAN_STRESS:
         raise InputError(
             f"the layer would bear {mean:.4g} kPa on average, more than {LARGEST_MEAN_STRESS:g} kPa"
@@ -136,6 +139,13 @@ def unusual(law: Law, maps: xr.Dataset) -> list[str]:
         said.append(
             f"the layer is thicker ({thickness:.3g} mm) than the field of view is wide "
             f"({width:.3g} mm): its sides decide the stress everywhere"
+        )
+    limit = CAVITATION * law.initial_youngs_modulus
+    pulled = -float(maps["contact_pressure"].min()) if "contact_pressure" in maps else 0.0
+    if pulled > limit:
+        said.append(
+            f"the glued sample pulls the layer with up to {pulled:.3g} kPa, and bonded rubber of "
+            f"its modulus tears open from within at about {limit:.3g} kPa"
         )
     return said
 

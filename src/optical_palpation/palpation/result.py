@@ -26,6 +26,7 @@ class ContactState(IntEnum):
     OPEN = 0
     SLIP = 1
     STICK = 2
+    GLUED = 3
 
 
 @dataclass(frozen=True, repr=False)
@@ -39,8 +40,9 @@ class StressResult:
     ----------
     maps
         Variables on ``(y, x)``, laboratory coordinates in mm, stress in kPa (tension positive):
-        ``axial_stress``, ``contact_pressure`` (compression positive), ``traction_x``,
-        ``traction_y``, ``traction_z``, ``contact_state``, ``window_contact_state``,
+        ``axial_stress``, ``contact_pressure`` (compression positive; negative where a glued sample
+        pulls), ``traction_x``, ``traction_y``, ``traction_z``, ``contact_state`` and
+        ``window_contact_state`` (:class:`ContactState`),
         ``loaded_thickness`` (mm), ``algebraic_axial_stress``, ``edge_influence`` (fraction of the
         contact pressure by which other sides of the layer would change it; NaN where the coarse
         solutions behind it did not arrive). The attributes hold the total forces

@@ -33,6 +33,7 @@ def deformed_layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[s
     share = friction_fraction(problem, state)
     contact = np.where(share < SLIP_SHARE, ContactState.STICK, ContactState.SLIP)
     contact = np.where(touching, contact, ContactState.OPEN).astype(np.int8)
+    contact[list(problem.glued)] = ContactState.GLUED
 
     area = grid.surface_areas(position[:, -1])
     traction = {
@@ -41,8 +42,10 @@ def deformed_layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[s
     }
     _, hx, hy = problem.imprint.evaluate(position[0, -1], position[1, -1], 1.0)[:3]
     slope = np.sqrt(1 + hx**2 + hy**2)
-    vertical_area = area_vectors(position[:, -1])[2]
-    pressure = np.where(touching[SAMPLE], state.normal_force[SAMPLE] / vertical_area, 0.0)
+    areas = area_vectors(position[:, -1])
+    pressure = np.where(touching[SAMPLE], state.normal_force[SAMPLE] / areas[2], 0.0)
+    if problem.glued[SAMPLE]:  # what holds it has a direction of its own
+        pressure = -(force[:, -1] * areas).sum(0) / (areas**2).sum(0)
     normal = np.stack([-hx, -hy, np.ones_like(hx)]) / slope
     surface = {
         "contact_pressure": pressure,
@@ -183,7 +186,7 @@ def surface_maps(
     sizes: tuple[float, float, float],
 ) -> xr.Dataset:
     """Surface fields in the laboratory frame, on even points as far apart as the element size."""
-    grid = solution.problem.grid
+    grid, glued = solution.problem.grid, solution.problem.glued[SAMPLE]
     x0, x1, y0, y1 = layer_extent_of(loaded)
     x, y = node_positions(x1 - x0, sizes[0], x0), node_positions(y1 - y0, sizes[1], y0)
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
@@ -204,7 +207,7 @@ def surface_maps(
     )
     for name, text in units.items():
         values = np.where(outside, np.nan, _interpolator(grid, surface[name])(reference))
-        if name == "contact_pressure":
+        if name == "contact_pressure" and not glued:
             values = np.maximum(values, 0.0)  # a cubic may overshoot where contact ends
         maps[name] = (("y", "x"), values, {"units": "kPa", "long_name": text})
     from scipy.interpolate import RegularGridInterpolator  # slow to load
@@ -225,7 +228,7 @@ def surface_maps(
     # Pixels beyond the layer have no stress: up to its border, go on from the last ones within.
     within = algebraic.dropna("x", how="all").dropna("y", how="all")
     stress = within.interp(x=x, y=y, kwargs={"fill_value": "extrapolate"})
-    maps["algebraic_axial_stress"] = np.minimum(stress, 0.0)
+    maps["algebraic_axial_stress"] = stress if glued else np.minimum(stress, 0.0)
     for name in ("loaded_thickness", "algebraic_axial_stress"):
         maps[name].attrs = {
             "units": {"loaded_thickness": "mm"}.get(name, "kPa"),

@@ -102,9 +102,16 @@ def write_deck(
 
     Raises
     ------
+    InputError
+        A face is glued, which the deck cannot say.
     OutputError
         The file cannot be written; nothing is left behind.
     """
+    if any(problem.glued):
+        raise InputError(
+            "a deck holds faces with friction; faces that are glued cannot be written. Give them "
+            "the friction that comes nearest"
+        )
     mean_thickness = float(problem.grid.thickness.mean())
     if contact_stiffness is None:
         contact_stiffness = problem.shear_modulus / (5e-4 * mean_thickness)

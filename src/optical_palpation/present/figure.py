@@ -203,6 +203,8 @@ def draw_map(
         names = str(field.attrs.get("flag_meanings", "")).split() or [
             state.name.lower() for state in ContactState
         ]
+        if not (values == ContactState.GLUED).any():  # most contacts are not
+            names = [name for name in names if name != ContactState.GLUED.name.lower()]
         named = {name: STATES.get(name, f"C{k}") for k, name in enumerate(names)}
     elif what.colours == "flags":
         named = {"no": "#DDDDDD", "yes": "#D55E00"}

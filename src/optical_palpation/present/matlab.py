@@ -10,7 +10,7 @@ import numpy as np
 
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.output import atomic, provenance
-from optical_palpation.present.terms import is_map, term
+from optical_palpation.present.terms import STATE_NUMBERS, is_map, term
 
 _LONGEST = 31  # characters of a name in a file of this format
 
@@ -43,7 +43,7 @@ def write_mat(result: StressResult, path: str | Path) -> None:
         units[short] = what.units or "1"
         meaning[short] = str(field.attrs.get("long_name", what.words))
         if "flag_meanings" in field.attrs or what.colours == "states":
-            meaning[short] += ": 0 open, 1 slip, 2 stick"
+            meaning[short] += f": {STATE_NUMBERS}"
     content["units"], content["meaning"] = units, meaning
     content["provenance"] = {k[:_LONGEST]: v for k, v in provenance(maps).items()}
     stream: Any = io.BytesIO()

@@ -9,6 +9,7 @@ import xarray as xr
 
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.output import atomic, provenance
+from optical_palpation.present.terms import STATE_NUMBERS
 
 _COLUMNS = {
     "x": "x_mm",
@@ -61,7 +62,7 @@ def write_profiles(result: StressResult, path: str | Path) -> None:
     with atomic(path, "profiles") as temporary, temporary.open("w", newline="") as file:
         for key, value in provenance(maps).items():
             file.write(f"# {key}: {json.dumps(value)}\n")
-        file.write("# contact states: 0 open, 1 slip, 2 stick\n")
+        file.write(f"# contact states: {STATE_NUMBERS}\n")
         for axis, profile in zip("xy", centre_profiles(maps), strict=True):
             table = profile[names].reset_coords().to_dataframe().reset_index()[["x", "y", *names]]
             table.insert(0, "along", axis)

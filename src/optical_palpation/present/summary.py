@@ -68,6 +68,9 @@ def summarise(result: StressResult) -> str:
     ]
     if forces:
         lines.append("total force: " + ", ".join(forces))
+    glued = [side for side in ("window", "sample") if maps.attrs.get(f"{side}_contact") == "glued"]
+    if glued:
+        lines.append(f"glued: {' and '.join(glued)}")
     if "force_residual" in maps.attrs:
         lines.append("equilibrium: " + equilibrium(maps.attrs))
     methods = {"computational": "axial_stress", "algebraic": "algebraic_axial_stress"}
@@ -87,6 +90,8 @@ def summarise(result: StressResult) -> str:
             if np.any(state == kind)
         ]
         lines.append("contact with the sample: " + ", ".join(shares))
+        if "glued" in shares[0] and (pulled := float(np.mean(maps["contact_pressure"] < 0))):
+            lines.append(f"pulled by the sample: {pulled:.1%} of the map")
     if sides := edge_influence(maps.attrs):
         lines.append(f"sides of the layer: {sides}")
     if open_share := maps.attrs.get("no_contact_share"):

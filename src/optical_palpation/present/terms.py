@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
+from optical_palpation.palpation.result import ContactState
+
 # Perceptually uniform, and told apart by all kinds of colour vision. Brighter is more compressed,
 # as in the published maps: stress is negative there.
 STRESS, PRESSURE, LENGTH = "viridis_r", "viridis", "cividis"
@@ -15,7 +17,9 @@ ERROR, DIFFERENCE, QUALITY = "magma", "vik", "cividis"
 # Okabe and Ito's palette, told apart by all kinds of colour vision.
 ALGEBRAIC, COMPUTATIONAL = "#D55E00", "#0072B2"
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-STATES = {"open": "#DDDDDD", "slip": "#E69F00", "stick": "#0072B2"}
+STATES = {"open": "#DDDDDD", "slip": "#E69F00", "stick": "#0072B2", "glued": "#009E73"}
+#: What the numbers of contact states mean.
+STATE_NUMBERS = ", ".join(f"{int(state)} {state.name.lower()}" for state in ContactState)
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,9 @@ def thickness_of(study: Study, found: Mapping[str, xr.Dataset]) -> xr.Dataset:
         whole = clean_thickness(unloaded)
         initial = whole["thickness"]
         made_up = whole["filled"].reindex(here, method="nearest")
-    matched = match_initial_thickness(initial, cleaned["thickness"])
+    matched = match_initial_thickness(
+        initial, cleaned["thickness"], glued=study.friction.sample_glued
+    )
     matched.attrs |= source
     if isinstance(study.loaded, VolumeInput):
         attrs["specular_share"] = found["loaded"].attrs["specular_share"]
@@ -94,7 +96,7 @@ def algebraic_of(study: Study, thickness: xr.Dataset) -> StressResult:
     Parameters
     ----------
     study
-        Its material counts.
+        Its material counts, and whether the sample is glued.
     thickness
         As from :func:`thickness_of`.
 
@@ -104,7 +106,10 @@ def algebraic_of(study: Study, thickness: xr.Dataset) -> StressResult:
         If the layer cannot be compressed so far, or the stress cannot be that of a soft layer.
     """
     result = algebraic_result(
-        thickness["loaded_thickness"], thickness["initial_thickness"], study.material.make()
+        thickness["loaded_thickness"],
+        thickness["initial_thickness"],
+        study.material.make(),
+        glued=study.friction.sample_glued,
     )
     check_stress(result.maps["axial_stress"])
     return _with_thickness(result, thickness)
@@ -136,6 +141,7 @@ def stress_of(
         study.material.make(),
         window_friction=study.friction.window,
         sample_friction=study.friction.sample,
+        slip_length=study.friction.slip_length,
         sample_motion=sample_motion(study, loaded),
         progress=progress,
         **study.grid.model_dump(),

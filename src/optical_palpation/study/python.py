@@ -47,7 +47,7 @@ class Study:
         A law (:class:`~optical_palpation.material.MooneyRivlin`, ``NeoHookean``, ``Yeoh``), or the
         keys of a study file, ``{"c10": ..., "c01": ...}`` in kPa.
     friction
-        ``{"window": ..., "sample": ...}``, Coulomb's coefficients.
+        ``{"window": ..., "sample": ...}``, Coulomb's coefficients or ``"glued"``.
     grid
         ``{"element_size": 0.125, ...}``, or the size alone, mm.
     tables
@@ -68,7 +68,7 @@ class Study:
         loaded: Mapping[str, Any] | xr.DataArray,
         unloaded: Mapping[str, Any] | xr.DataArray | float,
         material: Law | Mapping[str, Any],
-        friction: Mapping[str, float],
+        friction: Mapping[str, float | str],
         grid: Mapping[str, Any] | float | Sequence[float],
         folder: str | os.PathLike[str] = ".",
         **tables: Any,
@@ -152,7 +152,8 @@ class Study:
             said.append(f"{side} {Path(what).name if what else f'{it.thickness:g} mm'}")
         m, f, g = self._checked.material, self._checked.friction, self._checked.grid
         said.append(f"{m.law}, {m.make().describe()}")
-        said.append(f"friction {f.window:g} (window), {f.sample:g} (sample)")
+        window, sample = (h if h == "glued" else f"friction {h:g}" for h in (f.window, f.sample))
+        said.append(f"{window} (window), {sample} (sample)")
         said.append(f"elements {g.element_size} mm")
         return f"<Study: {'; '.join(said)}>"
 

@@ -198,6 +198,7 @@ _HINTS = {
     "c30": "kPa",
     "thickness": "mm",
     "motion": "the strain by which the sample spreads, 0.1 for 10 %, or a file",
+    "slip_length": "mm",
     "element_size": "mm, one number or three for x, y and z",
     "extent": "mm, x0, x1, y0, y1",
     "window_range": "mm, shallow and deep",

@@ -26,7 +26,7 @@ Range = Annotated[tuple[float, float], Strict(False)]
 Three = Annotated[tuple[Positive, Positive, Positive], Strict(False)]
 Extent = Annotated[tuple[float, float, float, float], Strict(False)]
 Output = Literal["panel", "vtk", "profiles", "report"]
-Coefficient = Annotated[float, Field(ge=0, le=2)]
+Hold = Annotated[float, Field(ge=0, le=2)] | Literal["glued"]
 
 
 class Table(BaseModel):
@@ -135,10 +135,16 @@ class Material(Table):
 
 
 class Friction(Table):
-    """Coulomb coefficients of both sides of the layer."""
+    """Coulomb coefficients of both sides of the layer, or that they are glued."""
 
-    window: Coefficient
-    sample: Coefficient
+    window: Hold
+    sample: Hold
+    slip_length: Positive | None = None
+
+    @property
+    def sample_glued(self) -> bool:
+        """Whether the sample is glued to the layer, and may pull it."""
+        return self.sample == "glued"
 
 
 class Sample(Table):

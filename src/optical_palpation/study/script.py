@@ -18,7 +18,9 @@ def reproducing_lines(study: Study) -> str:
 
 def _lines(study: Study) -> Iterator[str]:
     grid = study.grid.model_dump(exclude_defaults=True)
-    friction = {f"{side}_friction": value for side, value in study.friction}
+    friction = {f"{side}_friction": getattr(study.friction, side) for side in ("window", "sample")}
+    if study.friction.slip_length is not None:
+        friction["slip_length"] = study.friction.slip_length
     yield "from optical_palpation import material, palpation, thickness"
     if any(isinstance(source, VolumeInput) for source in study.inputs.values()):
         yield "from optical_palpation.volume import open_volume"

@@ -65,7 +65,10 @@ class Stages:
             picture = f"boundaries-{side}.png"
             make = self._picture(side)
             stages.append(Stage(picture, inputs[side], found[-1:], make, code=_SHOWING))
-        facts: dict[str, Any] = {"layer": study.layer.model_dump(mode="json")}
+        facts: dict[str, Any] = {
+            "layer": study.layer.model_dump(mode="json"),
+            "glued": study.friction.sample_glued,
+        }
         facts |= {side: inputs[side] for side in inputs if side not in by_side(study)}
         if isinstance(study.unloaded, NumberInput):
             facts["unloaded"] = study.unloaded.thickness
@@ -74,7 +77,7 @@ class Stages:
             name: getattr(study, name).model_dump(mode="json")
             for name in ("material", "friction", "grid")
         }
-        facts = {"material": tables["material"]}
+        facts = {"material": tables["material"], "glued": study.friction.sample_glued}
         stages.append(Stage(ALGEBRAIC, facts, [THICKNESS], self._algebraic, code=_SOLVING))
         facts = tables | motion_facts(study)
         stages.append(Stage(STRESS, facts, [THICKNESS], self._computational, code=_SOLVING))

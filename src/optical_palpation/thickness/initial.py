@@ -17,7 +17,9 @@ _PLAUSIBLE_ASPECT = (0.1, 500.0)
 _PLAUSIBLE_SPACING = 10.0
 
 
-def match_initial_thickness(initial: float | xr.DataArray, loaded: xr.DataArray) -> xr.DataArray:
+def match_initial_thickness(
+    initial: float | xr.DataArray, loaded: xr.DataArray, *, glued: bool = False
+) -> xr.DataArray:
     """Put the initial (unloaded) thickness on the pixels of the loaded map and check the pair.
 
     Parameters
@@ -27,19 +29,22 @@ def match_initial_thickness(initial: float | xr.DataArray, loaded: xr.DataArray)
         :func:`clean_thickness`) and covering the extent of the layer; it is interpolated linearly.
     loaded
         Loaded thickness, mm, on ``(y, x)``.
+    glued
+        Whether the sample is glued to the layer, and may pull it.
 
     Returns
     -------
     xarray.DataArray
         ``initial_thickness`` in mm on the coordinates of `loaded`. Attribute ``no_contact_share``:
         the share of the layer's measured pixels that are not thinner than initially, where the
-        sample does not touch the layer.
+        sample does not touch the layer; 0 where it is glued.
 
     Raises
     ------
     InputError
         If a thickness is not positive and finite, if `initial` does not cover the layer, if the
-        two differ so much that a unit must be wrong, or if no pixel of the layer is compressed.
+        two differ so much that a unit must be wrong, or if no pixel of the layer is compressed and
+        the sample is not glued.
     """
     loaded = on_grid(loaded)
     if np.any(loaded.values <= 0.0) or np.any(np.isinf(loaded.values)):
@@ -64,12 +69,12 @@ def match_initial_thickness(initial: float | xr.DataArray, loaded: xr.DataArray)
     if not measured.any():
         raise InputError("the loaded thickness is missing everywhere in the layer")
     _check_units(loaded, float(np.median(loaded.values[measured])), float(np.median(values)))
-    share = float(np.mean(loaded.values[measured] >= values[measured]))
+    share = 0.0 if glued else float(np.mean(loaded.values[measured] >= values[measured]))
     if share == 1.0:
         raise InputError(
             f"the loaded thickness ({loaded.values[measured].min():g} mm or more) is nowhere below "
             f"the initial thickness ({values[measured].max():g} mm at most): nothing is pressed. "
-            "Check the initial thickness and the length unit"
+            "Check the initial thickness and the length unit; only a glued sample can pull"
         )
     return (
         loaded.copy(data=values)

@@ -79,6 +79,7 @@ class Solving(QGroupBox):
         self.outcome.setWordWrap(True)
         form.addRow(self.outcome)
         self._form = form
+        self._glued: set[str] = set()  # faces that the study says are glued
         self._size: Any = None  # three element sizes as the study gives them, or None
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
@@ -105,7 +106,10 @@ class Solving(QGroupBox):
         for name, number in self.numbers.items():
             table, _, key = name.partition(".")
             fits = table != "material" or key in _LAWS[law]
-            changes[name] = number.value() if fits else None
+            value: Any = number.value()
+            if value is None and name in self._glued:
+                value = "glued"
+            changes[name] = value if fits else None
         size = self._size
         if size is not None and changes["grid.element_size"] == round(size[0], 4):
             changes["grid.element_size"] = size
@@ -163,6 +167,7 @@ class Solving(QGroupBox):
         material, grid = tables.get("material", {}), tables.get("grid", {})
         live = self.live.isChecked()
         self.live.setChecked(False)
+        self._glued.clear()
         self.law.setCurrentText(material.get("law", "mooney-rivlin"))
         self.edges.setCurrentText(grid.get("edges", "free"))
         for name, number in self.numbers.items():
@@ -170,6 +175,9 @@ class Solving(QGroupBox):
             value = tables.get(table, {}).get(key)
             if key == "element_size" and isinstance(value, list):
                 self._size, value = value, value[0]
+            if value == "glued":  # until a coefficient is typed
+                self._glued.add(name)
+                value = None
             number.set(value)
         self.live.setChecked(live)
         self.outcome.setText("")

@@ -132,6 +132,8 @@ def map_entries(
     for key, entry in encode_maps(fields).items():
         shown[key] |= entry
     palettes = dict.fromkeys([*_PALETTES, *(scale["colours"] for scale in scales.values())])
+    glued = any((field == ContactState.GLUED).any() for field, _ in fields.values())
+    states = [s for s in ContactState if glued or s is not ContactState.GLUED]
     return {
         "maps": shown,
         "stage": list(shown),
@@ -160,7 +162,7 @@ def map_entries(
                 "errors": {},
             },
         },
-        "states": {int(s): s.name.lower() for s in ContactState},
+        "states": {int(s): s.name.lower() for s in states},
     }
 
 

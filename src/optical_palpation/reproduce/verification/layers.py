@@ -40,6 +40,7 @@ def press(
     *,
     law: InvariantLaw = MATERIAL,
     friction: tuple[float, float] = (0.0, 0.0),
+    glued: tuple[bool, bool] = (False, False),
     rollers: bool = False,
     slip_length: float = 1e-3,
     pressure: float,
@@ -64,6 +65,7 @@ def press(
         friction,
         edges="roller" if rollers else "free",
         slip_length=slip_length,
+        glued=glued,
     )
     try:
         return solve(

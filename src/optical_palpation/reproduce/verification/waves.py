@@ -17,8 +17,6 @@ from optical_palpation.reproduce.verification.layers import (
 )
 
 _WAVELENGTH, _AMPLITUDE, _PRESSED = 1.0, 2e-5, 1e-4
-#: Window friction that stands for a bonded face: pressed everywhere, it never reaches its bound.
-_STUCK = 1e3
 
 
 def response(nodes: int, depth: int, base: Base, thickness: float = 0.4) -> float:
@@ -43,7 +41,7 @@ def response(nodes: int, depth: int, base: Base, thickness: float = 0.4) -> floa
         solution = press(
             grid,
             imprint,
-            friction=(_STUCK if base == "stuck" else 0.0, 0.0),
+            glued=(base == "stuck", False),
             rollers=True,
             pressure=MATERIAL.bulk_modulus * _PRESSED,
         )
@@ -60,7 +58,7 @@ def waves(setting: Setting) -> Part:
         "An imprint with a small wave of 1 mm, $u = \\hat u \\cos kx$, on a layer pressed evenly: "
         "$\\hat p / \\hat u = 2 \\mu k (\\sinh a \\cosh a + a) / \\sinh^2 a$ with $a = kh$ for a "
         "layer that slides at the window, $2 \\mu k (\\cosh^2 a + a^2) / (\\sinh a \\cosh a - a)$ "
-        "for one that sticks. Sticking is friction of 1000. Meshes of 10 and 20 elements per wave, "
+        "for one that is glued to it. Meshes of 10 and 20 elements per wave, "
         "and as high as wide."
     )
     sizes = (5, 10) if setting.quick else (10, 20)
