@@ -12,14 +12,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optical_palpation.batch import Batch, read_batch, run_batch
+import optical_palpation as op
+from optical_palpation.batch import Batch, BatchResult, read_batch, run_batch, sweeping, worker_map
 from optical_palpation.batch.cluster import About, threads_of
 from optical_palpation.batch.run import _LOSSES
-from optical_palpation.batch.scan import predicted_need
-from optical_palpation.errors import InputError, OpticalPalpationError
+from optical_palpation.batch.scan import Outcome, predicted_need
+from optical_palpation.errors import ConvergenceError, InputError, OpticalPalpationError
+from optical_palpation.friction import calibration_curves
 from optical_palpation.present import read_result
 from optical_palpation.study import read_study, run_study
 
@@ -328,6 +331,52 @@ def command(*arguments):
         text=True,
         start_new_session=True,
     )
+
+
+@pytest.mark.slow
+def test_sweep_and_calibration_on_a_scheduler_are_those_of_one_process(tmp_path):
+    make_scans(tmp_path, 1)
+    study = op.Study.read(tmp_path / "study.toml")
+    values = {"friction.window": [0.1, 0.2], "material.c10": (2.0, 2.23)}
+    slab = {
+        "layer_size": (2.0, 2.0),
+        "initial_thickness": 0.5,
+        "loaded_thickness": 0.45,
+        "material": op.MooneyRivlin(2.23, 0.703),
+        "region": 1.6,
+        "elements": 3,
+    }
+    told = []
+    with ExitStack() as stack:
+        file = str(stack.enter_context(scheduler_process(tmp_path)))
+        for _ in range(2):
+            stack.enter_context(worker(file))
+        found = op.sweep(study, values, scheduler=file, folder=tmp_path / "s", progress=told.append)
+        with pytest.raises(InputError, match="folder"):
+            op.sweep(study, values, scheduler=file)
+        with worker_map(scheduler=file) as each:
+            curves = calibration_curves([0.1, 0.3], each=each, on_curve=told.append, **slab)
+    xr.testing.assert_identical(found, op.sweep(study, values))
+    assert told[0].stage.startswith("0 of 4")
+    assert told[-1] == 0.3
+    xr.testing.assert_identical(curves, calibration_curves([0.1, 0.3], **slab))
+
+
+def test_points_of_a_sweep_that_fail_on_workers(tmp_path, monkeypatch):
+    make_scans(tmp_path, 1)
+    study = op.Study.read(tmp_path / "study.toml")
+    error = "ConvergenceError"
+
+    def failing(batch, **_):
+        outcomes = tuple(Outcome(s.name, "failed", "no luck", error) for s in batch.scans)
+        return BatchResult(batch.folder, outcomes, ())
+
+    monkeypatch.setattr(sweeping, "run_batch", failing)
+    with pytest.raises(ConvergenceError, match="no point has a solution; the first: no luck"):
+        op.sweep(study, {"friction.window": [0.1]}, workers=1)
+    error = "InputError"
+    with pytest.raises(InputError, match=r"friction.window.*0\.1.*no luck"):
+        op.sweep(study, {"friction.window": [0.1]}, workers=1)
 
 
 @pytest.mark.slow

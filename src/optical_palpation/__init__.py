@@ -2,7 +2,7 @@
 
 ``import optical_palpation as op`` gives the names below; each is loaded when it is first used. More
 live in the subpackages ``volume``, ``thickness``, ``material``, ``palpation``, ``friction``,
-``analysis`` and ``present``; errors in ``errors``.
+``analysis``, ``present``, ``study``, ``batch`` and ``experiment``; errors in ``errors``.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from optical_palpation.analysis import Region, compare_results, read_regions, stress_uncertainty
+    from optical_palpation.batch import sweep
     from optical_palpation.errors import OpticalPalpationError
     from optical_palpation.material import MooneyRivlin
     from optical_palpation.palpation import StressResult, algebraic_result, computational_stress
     from optical_palpation.present import read_result
-    from optical_palpation.study.python import Study, sweep
+    from optical_palpation.study.python import Study
     from optical_palpation.thickness import (
         clean_thickness,
         find_layer,
@@ -62,10 +63,19 @@ _HOMES = {
     "read_result": "present",
     "read_thickness_map": "thickness",
     "stress_uncertainty": "analysis",
-    "sweep": "study.python",
+    "sweep": "batch",
     "thickness_map": "thickness",
 }
-_SUBPACKAGES = {"analysis", "errors", "friction", "material", "palpation", "present"}
+_SUBPACKAGES = {
+    "analysis",
+    "batch",
+    "errors",
+    "experiment",
+    "friction",
+    "material",
+    "palpation",
+    "present",
+}
 _SUBPACKAGES |= {"study", "thickness", "volume"}
 
 

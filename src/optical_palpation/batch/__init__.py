@@ -1,6 +1,17 @@
 """Many studies at once, on Dask: on this machine or on a cluster."""
 
+from optical_palpation.batch.cluster import worker_map
 from optical_palpation.batch.reading import Batch, Scan, read_batch
 from optical_palpation.batch.run import BatchProgress, BatchResult, run_batch
+from optical_palpation.batch.sweeping import sweep
 
-__all__ = ["Batch", "BatchProgress", "BatchResult", "Scan", "read_batch", "run_batch"]
+__all__ = [
+    "Batch",
+    "BatchProgress",
+    "BatchResult",
+    "Scan",
+    "read_batch",
+    "run_batch",
+    "sweep",
+    "worker_map",
+]

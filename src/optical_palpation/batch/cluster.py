@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,6 +52,30 @@ def about_worker() -> About:
         os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
     )
     return About(software_version(), socket.gethostname(), frozenset(cores), available_threads())
+
+
+def checked(address: str, about: Any) -> About:
+    """Return what a worker says of itself, if it has this software in this version.
+
+    Raises
+    ------
+    InputError
+        If it has not.
+    """
+    from optical_palpation.runtime import software_version
+
+    own = software_version()
+    if not isinstance(about, About):
+        raise InputError(
+            f"worker {address} cannot run this software ({about}); install optical-palpation "
+            f"{own} with the extra batch where workers run"
+        )
+    if about.version != own:
+        raise InputError(
+            f"worker {address} has version {about.version} of optical-palpation, and here it is "
+            f"{own}; install the same everywhere"
+        )
+    return about
 
 
 def threads_of(address: str, workers: Mapping[str, About]) -> int:
@@ -146,3 +171,61 @@ def _workers_for(needs: Sequence[float | None], cores: int, memory: float) -> in
             break
         count += 1
     return max(count, 1)
+
+
+@contextmanager
+def worker_map(
+    *, workers: int | None = None, scheduler: str | None = None
+) -> Iterator[Callable[..., Iterator[Any]]]:
+    """Give a ``map`` whose calls run side by side on Dask, for calibration curves and the like.
+
+    Parameters
+    ----------
+    workers
+        Number of workers to start on this machine; one for each core by default.
+    scheduler
+        Address of a running scheduler, or path of its scheduler file, in their place.
+
+    Yields
+    ------
+    Callable
+        Takes a function and the values to call it with; gives the results in order. Function and
+        values must be such as can be pickled. What a lost worker had is done again on another.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, the scheduler cannot be reached, or a worker has another version.
+    """
+    from optical_palpation.palpation.threads import available_threads
+
+    count = workers if workers is not None else available_threads()
+    if scheduler is None and count < 1:
+        raise InputError(f"workers = {workers}: must be at least 1")
+    with connected(scheduler, None if scheduler else count, [None]) as crew:
+        client: Any = crew.client
+        client.wait_for_workers(1)
+
+        def each(function: Callable[[Any], Any], values: Iterable[Any]) -> Iterator[Any]:
+            present = {
+                address: checked(address, about)
+                for address, about in client.run(about_worker, on_error="return").items()
+            }
+            threads = min(threads_of(address, present) for address in present)
+            call = partial(_limited, function, threads)
+            futures = client.map(call, list(values), pure=False)
+            try:
+                for future in futures:
+                    yield future.result()
+            finally:
+                client.cancel(futures, force=True)
+
+        yield each
+
+
+def _limited(function: Callable[[Any], Any], threads: int, value: Any) -> Any:
+    """Call a function on some threads."""
+    from optical_palpation.palpation.threads import limited_threads
+
+    with limited_threads(threads):
+        return function(value)

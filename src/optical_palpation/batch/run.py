@@ -10,7 +10,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from optical_palpation.batch.cluster import About, Workers, about_worker, connected, threads_of
+from optical_palpation.batch.cluster import (
+    About,
+    Workers,
+    about_worker,
+    checked,
+    connected,
+    threads_of,
+)
 from optical_palpation.batch.reading import Batch, Scan
 from optical_palpation.batch.scan import Outcome, predicted_need, run_scan
 from optical_palpation.errors import InputError
@@ -207,7 +214,7 @@ class _Dispatcher:
             for address, about in told.items():
                 if isinstance(about, OSError):  # lost again already
                     continue
-                self.known[address] = _checked(address, about)
+                self.known[address] = checked(address, about)
         return [address for address in present if address in self.known]
 
     def _lost(self, present: list[str]) -> list[str]:
@@ -303,24 +310,6 @@ class _Dispatcher:
                 message=message,
             )
         )
-
-
-def _checked(address: str, about: Any) -> About:
-    """Return what a worker says of itself, if it has this software in this version."""
-    from optical_palpation.runtime import software_version
-
-    own = software_version()
-    if not isinstance(about, About):
-        raise InputError(
-            f"worker {address} cannot run this software ({about}); install optical-palpation "
-            f"{own} with the extra batch where workers run"
-        )
-    if about.version != own:
-        raise InputError(
-            f"worker {address} has version {about.version} of optical-palpation, and here it is "
-            f"{own}; install the same everywhere"
-        )
-    return about
 
 
 class _Cancelled(BaseException):

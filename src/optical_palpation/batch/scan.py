@@ -37,6 +37,8 @@ class Outcome:
         ``done``, ``earlier`` (an earlier run had done it all) or ``failed``.
     message
         Why it failed.
+    error
+        Name of the class of the error that it failed with.
     row
         Its entries in the table, by column.
     thumbnail
@@ -48,6 +50,7 @@ class Outcome:
     name: str
     status: str
     message: str = ""
+    error: str = ""
     row: dict[str, Any] = field(default_factory=dict)
     thumbnail: NDArray[np.float32] | None = None
     seconds: float = 0.0
@@ -90,18 +93,19 @@ def run_scan(scan: Scan, folder: Path, threads: int | None, tell: Callable[[Any]
                     time.sleep(0.5)
         row, thumbnail = _row(target, scan)
     except OpticalPalpationError as error:
-        message, details = str(error), str(error)
+        message, details, kind = str(error), str(error), type(error).__name__
     except Exception as error:
-        message, details = f"{type(error).__name__}: {error}", traceback.format_exc()
+        kind = type(error).__name__
+        message, details = f"{kind}: {error}", traceback.format_exc()
     else:
         errors.unlink(missing_ok=True)
         earlier = set(done.files) == set(done.earlier)
         status = "earlier" if earlier else "done"
         seconds = time.monotonic() - started
-        return Outcome(scan.name, status, "", row, thumbnail, seconds)
+        return Outcome(scan.name, status, "", "", row, thumbnail, seconds)
     with suppress(OSError):  # the table says it as well
         errors.write_text(details + "\n", encoding="utf-8")
-    return Outcome(scan.name, "failed", message, seconds=time.monotonic() - started)
+    return Outcome(scan.name, "failed", message, kind, seconds=time.monotonic() - started)
 
 
 def predicted_need(scan: Scan) -> float | None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -215,6 +217,23 @@ def friction(
             metavar="FILE", help="Also write the calibration curves (.nc).", rich_help_panel=_OUTPUT
         ),
     ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="NUMBER",
+            help="Compute curves side by side on so many workers of this machine (extra batch).",
+            min=1,
+            rich_help_panel=_LAYER,
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Compute curves on the workers of a running Dask scheduler.",
+            rich_help_panel=_LAYER,
+        ),
+    ] = None,
     quiet: Annotated[
         bool, typer.Option("--quiet", help="Print nothing but errors.", rich_help_panel=_OUTPUT)
     ] = False,
@@ -225,6 +244,8 @@ def friction(
     displacement against depth. Calibration curves for the same layer tell the coefficient.
     """
     files = measurement or []
+    if workers is not None and scheduler is not None:
+        raise typer.BadParameter("--workers are for this machine, --scheduler has its own")
     if len(files) > 2:
         raise typer.BadParameter("give one profile, or two volumes (before and after)")
     outputs = {"record": output, "picture": plot, "calibration": save_calibration}
@@ -304,18 +325,20 @@ def friction(
                 print(f"calibration: {text}, {passed:.0f} s", file=sys.stderr, flush=True)
 
         say(f"{len(values)} curves; the first run compiles for up to a minute")
-        curves = library.calibration_curves(
-            values,
-            layer_size=layer_size,
-            initial_thickness=initial_thickness,
-            loaded_thickness=loaded_thickness,
-            material=make_law(law.value, bulk_to_shear, c10=c10, c01=c01, c20=c20, c30=c30),
-            region=region,
-            sample_friction=sample_friction,
-            step=step,
-            elements=elements,
-            on_curve=lambda mu: say(f"friction {mu:g} done"),
-        )
+        with _each(workers, scheduler) as each:
+            curves = library.calibration_curves(
+                values,
+                layer_size=layer_size,
+                initial_thickness=initial_thickness,
+                loaded_thickness=loaded_thickness,
+                material=make_law(law.value, bulk_to_shear, c10=c10, c01=c01, c20=c20, c30=c30),
+                region=region,
+                sample_friction=sample_friction,
+                step=step,
+                elements=elements,
+                on_curve=lambda mu: say(f"friction {mu:g} done"),
+                each=each,
+            )
     estimate = None
     if profile is not None:
         estimate = library.estimate_friction(profile, curves, fit_offset=fit_offset)
@@ -355,3 +378,12 @@ def _describe(estimate: FrictionEstimate, curves: xr.DataArray) -> str:
             "coefficient is a bound (--coefficients widens the range)"
         )
     return "\n".join(lines)
+
+
+def _each(workers: int | None, scheduler: str | None) -> AbstractContextManager[Callable[..., Any]]:
+    """Give what computes the curves: one after another here, or side by side on workers."""
+    if workers is None and scheduler is None:
+        return nullcontext(map)
+    from optical_palpation.batch import worker_map
+
+    return worker_map(workers=workers, scheduler=scheduler)

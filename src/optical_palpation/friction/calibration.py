@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -166,6 +167,7 @@ def calibration_curves(
     step: float = 5e-4,
     elements: int = 6,
     on_curve: Callable[[float], None] | None = None,
+    each: Callable[..., Iterable[xr.Dataset]] = map,
 ) -> xr.DataArray:
     """Normalised incremental displacement against depth for several coefficients (figure 2a).
 
@@ -174,10 +176,13 @@ def calibration_curves(
     friction
         Coefficients of friction at the window, at least two, increasing. Estimates are confined to
         their range; steps of 0.05 to 0.1 are fine enough.
+    layer_size, initial_thickness, loaded_thickness, material, region
+        As for :func:`slab_profile`; likewise `sample_friction`, `step` and `elements`.
     on_curve
         Called with each coefficient when its curve is done.
-
-    Others as for :func:`slab_profile`.
+    each
+        Applies a function to each coefficient and gives the results in order, as ``map`` does: that
+        of :func:`~optical_palpation.batch.worker_map` computes curves side by side.
 
     Returns
     -------
@@ -189,19 +194,19 @@ def calibration_curves(
     if len(values) < 2 or any(b <= a for a, b in pairwise(values)):
         raise InputError(f"friction = {values}: give at least two coefficients, increasing")
     depth = np.linspace(0.0, 1.0, 41)
+    profile = partial(
+        slab_profile,
+        layer_size=layer_size,
+        initial_thickness=initial_thickness,
+        loaded_thickness=loaded_thickness,
+        material=material,
+        region=region,
+        sample_friction=sample_friction,
+        step=step,
+        elements=elements,
+    )
     rows, forces = [], []
-    for mu in values:
-        slab = slab_profile(
-            mu,
-            layer_size=layer_size,
-            initial_thickness=initial_thickness,
-            loaded_thickness=loaded_thickness,
-            material=material,
-            region=region,
-            sample_friction=sample_friction,
-            step=step,
-            elements=elements,
-        )
+    for mu, slab in zip(values, each(profile, values), strict=True):
         increment = slab["increment"].values
         curve = PchipInterpolator(slab["depth"].values, increment / increment[-1])
         rows.append(curve(np.clip(depth, slab["depth"].values[0], slab["depth"].values[-1])))

@@ -5,20 +5,17 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
-from optical_palpation.errors import ConvergenceError, InputError, OutputError
+from optical_palpation.errors import InputError, OutputError
 from optical_palpation.files import replacing
 from optical_palpation.material import Law
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present import read_result
-from optical_palpation.study.reading import changed, make_study, read_study
-from optical_palpation.study.record import Progress
+from optical_palpation.study.reading import changed, make_study, plain, read_study
 from optical_palpation.study.run import run_study
 from optical_palpation.study.schema import Study as StudyFile
 from optical_palpation.study.stages import STRESS, THICKNESS
@@ -287,7 +284,7 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
     if name == "material" and isinstance(value, Law):
         return value.arguments
     if name == "grid" and not isinstance(value, Mapping):
-        return {"element_size": _plain(value)}
+        return {"element_size": plain(value)}
     if name == "sample" and isinstance(value, Mapping):
         motion = value.get("motion")
         if isinstance(motion, str | os.PathLike):
@@ -299,136 +296,4 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
         raise InputError(
             f"{name}: {expected} of keys to values, not {type(value).__name__} {value!r}"
         )
-    return {key: _plain(of) for key, of in value.items()}
-
-
-def _plain(value: Any) -> Any:
-    """NumPy's numbers and arrays as TOML takes them."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, tuple):
-        return list(value)
-    return value
-
-
-def sweep(
-    study: Study,
-    parameters: Mapping[str, Sequence[Any]],
-    *,
-    progress: Tell | None = None,
-) -> xr.Dataset:
-    """Solve a study for all combinations of some parameters.
-
-    Every point is solved from the unloaded layer, since friction remembers the path of loading.
-
-    Parameters
-    ----------
-    study
-        The study to vary.
-    parameters
-        Values by table and key: ``{"friction.window": [0.1, 0.2], "material.c10": [2.0, 2.5]}``.
-    progress
-        As for :func:`~optical_palpation.study.run_study`; the stage also counts the points.
-
-    Returns
-    -------
-    xarray.Dataset
-        The maps of the result with the parameters as further dimensions, named with ``_`` for the
-        dot, ``friction_window``; over these alone ``window_force`` and ``sample_force`` (mN), and
-        ``failure``, empty, or why a point has no solution: its maps have no value. Where the
-        element size is one of the parameters, maps are interpolated to the points of the first.
-
-    Raises
-    ------
-    InputError
-        If a parameter or value cannot be used, before anything is computed; or if an input cannot.
-    ConvergenceError
-        If no point has a solution.
-    """
-    if not isinstance(study, Study):
-        raise InputError(f"study: an optical_palpation.Study, not {type(study).__name__}")
-    values: dict[str, list[Any]] = {}
-    for name, given in parameters.items():
-        if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or not len(given):
-            raise InputError(f"{name}: a list of values, at least one, not {given!r}")
-        values[name] = [_plain(value) for value in given]
-    if not values:
-        raise InputError("parameters: name at least one, such as {'friction.window': [0.1, 0.2]}")
-    points = [dict(zip(values, point, strict=True)) for point in product(*values.values())]
-    studies = [study.with_(point) for point in points]  # refuses all that is wrong, at once
-    base: xr.Dataset | None = None
-    found: list[xr.Dataset | None] = []
-    failures: list[str] = []
-    for count, variant in enumerate(studies, 1):
-
-        def tell(report: Any, count: int = count) -> None:
-            if progress:
-                stage = f"{count} of {len(studies)}: {report.stage}"
-                newton, message = report.newton, getattr(report, "message", "")
-                progress(Progress(stage, report.load, newton, message))
-
-        try:
-            maps = variant.run(tell).maps
-        except ConvergenceError as error:
-            found.append(None)
-            failures.append(str(error))
-            continue
-        failures.append("")
-        if base is None:
-            base = maps
-        found.append(_on(maps, base))
-    if base is None:
-        raise ConvergenceError(f"no point has a solution; the first: {failures[0]}")
-    return _gathered(values, found, failures, base)
-
-
-def _on(maps: xr.Dataset, base: xr.Dataset) -> xr.Dataset:
-    """Maps on the points of other ones."""
-    at = {axis: base[axis] for axis in "yx"}
-    if all(maps[axis].equals(base[axis]) for axis in "yx"):
-        return maps
-    parts = {}
-    for name, field in maps.data_vars.items():
-        if set(field.dims) == {"y", "x"}:
-            method: Any = "linear" if field.dtype.kind == "f" else "nearest"
-            parts[name] = field.astype(float).interp(at, method=method).astype(field.dtype)
-    return xr.Dataset(parts, attrs=maps.attrs)
-
-
-def _gathered(
-    values: Mapping[str, Sequence[Any]],
-    found: Sequence[xr.Dataset | None],
-    failures: Sequence[str],
-    base: xr.Dataset,
-) -> xr.Dataset:
-    dims = [name.replace(".", "_") for name in values]
-    shape = [len(v) for v in values.values()]
-    result = xr.Dataset(coords={axis: base[axis] for axis in "yx"})
-    for dim, (name, given) in zip(dims, values.items(), strict=True):
-        scalar = all(isinstance(v, int | float | str) for v in given)
-        labels = list(given) if scalar else [str(v) for v in given]
-        result = result.assign_coords({dim: (dim, labels, {"parameter": name})})
-    for key, field in base.data_vars.items():
-        if set(field.dims) != {"y", "x"}:
-            continue
-        field = field.transpose("y", "x")
-        stack = []
-        for maps in found:
-            if maps is None or key not in maps:
-                stack.append(np.full(field.shape, np.nan))
-            else:
-                stack.append(maps[key].transpose("y", "x").values)
-        data = np.array(stack).reshape(*shape, *field.shape)
-        result[key] = ((*dims, "y", "x"), data, field.attrs)
-    for side in ("window", "sample"):
-        force = f"{side}_force_mN"
-        forces = [np.nan if m is None else float(m.attrs.get(force, np.nan)) for m in found]
-        text = {"units": "mN", "long_name": f"force on the {side}"}
-        result[f"{side}_force"] = (dims, np.reshape(forces, shape), text)
-    reasons = np.array(failures, dtype=object).reshape(shape).astype(str)
-    result["failure"] = (dims, reasons, {"long_name": "why a point has no solution"})
-    result.attrs = {k: v for k, v in base.attrs.items() if k in _COMMON}
-    return result
-
-
-_COMMON = ("input", "input_sha256", "source", "source_sha256", "method", "software_version")
+    return {key: plain(of) for key, of in value.items()}

@@ -12,6 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from optical_palpation.errors import InputError, MaterialError, OutputError
@@ -81,6 +82,15 @@ def read_study(path: str | Path, changes: Mapping[str, object] | None = None) ->
     if not changes:
         study._sha256 = hashlib.sha256(content).hexdigest()
     return study
+
+
+def plain(value: Any) -> Any:
+    """Return NumPy's numbers and arrays, and tuples, as TOML takes them."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, tuple):
+        return list(value)
+    return value
 
 
 def changed(given: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:

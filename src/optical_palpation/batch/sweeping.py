@@ -1,0 +1,212 @@
+"""A study for all combinations of some parameters, one after another or on Dask."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.batch.reading import Batch, Scan
+from optical_palpation.batch.run import BatchProgress, run_batch
+from optical_palpation.errors import ConvergenceError, InputError
+from optical_palpation.present import read_result
+from optical_palpation.study import Progress
+from optical_palpation.study.python import Study
+from optical_palpation.study.reading import plain
+from optical_palpation.study.stages import STRESS
+
+Tell = Callable[[Any], None]
+Point = Mapping[str, Any]
+
+
+def sweep(
+    study: Study,
+    parameters: Mapping[str, Sequence[Any]],
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    folder: str | os.PathLike[str] | None = None,
+    progress: Tell | None = None,
+) -> xr.Dataset:
+    """Solve a study for all combinations of some parameters.
+
+    Every point is solved from the unloaded layer, since friction remembers the path of loading.
+
+    Parameters
+    ----------
+    study
+        The study to vary.
+    parameters
+        Values by table and key: ``{"friction.window": [0.1, 0.2], "material.c10": [2.0, 2.5]}``.
+    workers
+        Number of workers on this machine that compute points side by side (Dask, the extra
+        ``batch``). By default points are computed here, one after another.
+    scheduler
+        Address of a running Dask scheduler (``tcp://host:8786``) or path of its scheduler file, to
+        compute points on its workers; needs `folder`.
+    folder
+        Where workers leave the results of the points; all of them must see it by this path. What is
+        there already is not computed again. By default a temporary folder on this machine.
+    progress
+        As for :func:`~optical_palpation.study.run_study`; the stage also counts the points.
+
+    Returns
+    -------
+    xarray.Dataset
+        The maps of the result with the parameters as further dimensions, named with ``_`` for the
+        dot, ``friction_window``; over these alone ``window_force`` and ``sample_force`` (mN), and
+        ``failure``, empty, or why a point has no solution: its maps have no value. Where the
+        element size is one of the parameters, maps are interpolated to the points of the first.
+
+    Raises
+    ------
+    InputError
+        If a parameter or value cannot be used, before anything is computed; or if an input, or the
+        scheduler, cannot.
+    ConvergenceError
+        If no point has a solution.
+    """
+    if not isinstance(study, Study):
+        raise InputError(f"study: an optical_palpation.Study, not {type(study).__name__}")
+    values: dict[str, list[Any]] = {}
+    for name, given in parameters.items():
+        if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or not len(given):
+            raise InputError(f"{name}: a list of values, at least one, not {given!r}")
+        values[name] = [plain(value) for value in given]
+    if not values:
+        raise InputError("parameters: name at least one, such as {'friction.window': [0.1, 0.2]}")
+    if scheduler is not None and folder is None:
+        raise InputError(
+            "folder: where the workers of the scheduler leave their results, which all of them "
+            "and this process see by the same path"
+        )
+    points = [dict(zip(values, point, strict=True)) for point in product(*values.values())]
+    studies = [study.with_(point) for point in points]  # refuses all that is wrong, at once
+    if workers is None and scheduler is None and folder is None:
+        solved = _one_after_another(studies, progress)
+    else:
+        solved = _on_workers(study, points, workers, scheduler, folder, progress)
+    found: list[xr.Dataset | None] = []
+    failures: list[str] = []
+    base: xr.Dataset | None = None
+    for maps, failure in solved:
+        failures.append(failure)
+        if base is None:
+            base = maps
+        found.append(None if maps is None or base is None else _on(maps, base))
+    if base is None:
+        raise ConvergenceError(f"no point has a solution; the first: {failures[0]}")
+    return _gathered(values, found, failures, base)
+
+
+def _one_after_another(
+    studies: Sequence[Study], progress: Tell | None
+) -> list[tuple[xr.Dataset | None, str]]:
+    """Return the maps of each study, or why there are none."""
+    solved: list[tuple[xr.Dataset | None, str]] = []
+    for count, variant in enumerate(studies, 1):
+
+        def tell(report: Any, count: int = count) -> None:
+            if progress:
+                stage = f"{count} of {len(studies)}: {report.stage}"
+                newton, message = report.newton, getattr(report, "message", "")
+                progress(Progress(stage, report.load, newton, message))
+
+        try:
+            solved.append((variant.run(tell).maps, ""))
+        except ConvergenceError as error:
+            solved.append((None, str(error)))
+    return solved
+
+
+def _on_workers(
+    study: Study,
+    points: Sequence[Point],
+    workers: int | None,
+    scheduler: str | None,
+    folder: str | os.PathLike[str] | None,
+    progress: Tell | None,
+) -> list[tuple[xr.Dataset | None, str]]:
+    """Return the same from a batch of the points."""
+
+    def tell(report: BatchProgress) -> None:
+        if progress:
+            ended = report.done + report.failed
+            stage = f"{ended} of {report.total}: {', '.join(report.running) or 'starting workers'}"
+            progress(Progress(stage, ended / report.total, 0, report.message))
+
+    with tempfile.TemporaryDirectory(prefix="optical-palpation-") as temporary:
+        place = Path(temporary if folder is None else folder).resolve()
+        place.mkdir(parents=True, exist_ok=True)
+        file = place / "study.toml"
+        study.with_({"outputs.write": []}).save(file)
+        scans = tuple(Scan(f"point-{n:04d}", file, point) for n, point in enumerate(points))
+        batch = Batch(file, scans, place / "points")
+        done = run_batch(batch, scheduler=scheduler, workers=workers, progress=tell)
+        solved: list[tuple[xr.Dataset | None, str]] = []
+        for outcome in done.outcomes:
+            if outcome.status != "failed":
+                solved.append((read_result(batch.folder / outcome.name / STRESS).maps, ""))
+            elif outcome.error == ConvergenceError.__name__:
+                solved.append((None, outcome.message))
+            else:
+                raise InputError(f"{dict(points[len(solved)])}: {outcome.message}")
+    return solved
+
+
+def _on(maps: xr.Dataset, base: xr.Dataset) -> xr.Dataset:
+    """Maps on the points of other ones."""
+    at = {axis: base[axis] for axis in "yx"}
+    if all(maps[axis].equals(base[axis]) for axis in "yx"):
+        return maps
+    parts = {}
+    for name, field in maps.data_vars.items():
+        if set(field.dims) == {"y", "x"}:
+            method: Any = "linear" if field.dtype.kind == "f" else "nearest"
+            parts[name] = field.astype(float).interp(at, method=method).astype(field.dtype)
+    return xr.Dataset(parts, attrs=maps.attrs)
+
+
+def _gathered(
+    values: Mapping[str, Sequence[Any]],
+    found: Sequence[xr.Dataset | None],
+    failures: Sequence[str],
+    base: xr.Dataset,
+) -> xr.Dataset:
+    dims = [name.replace(".", "_") for name in values]
+    shape = [len(v) for v in values.values()]
+    result = xr.Dataset(coords={axis: base[axis] for axis in "yx"})
+    for dim, (name, given) in zip(dims, values.items(), strict=True):
+        scalar = all(isinstance(v, int | float | str) for v in given)
+        labels = list(given) if scalar else [str(v) for v in given]
+        result = result.assign_coords({dim: (dim, labels, {"parameter": name})})
+    for key, field in base.data_vars.items():
+        if set(field.dims) != {"y", "x"}:
+            continue
+        field = field.transpose("y", "x")
+        stack = []
+        for maps in found:
+            if maps is None or key not in maps:
+                stack.append(np.full(field.shape, np.nan))
+            else:
+                stack.append(maps[key].transpose("y", "x").values)
+        data = np.array(stack).reshape(*shape, *field.shape)
+        result[key] = ((*dims, "y", "x"), data, field.attrs)
+    for side in ("window", "sample"):
+        force = f"{side}_force_mN"
+        forces = [np.nan if m is None else float(m.attrs.get(force, np.nan)) for m in found]
+        text = {"units": "mN", "long_name": f"force on the {side}"}
+        result[f"{side}_force"] = (dims, np.reshape(forces, shape), text)
+    reasons = np.array(failures, dtype=object).reshape(shape).astype(str)
+    result["failure"] = (dims, reasons, {"long_name": "why a point has no solution"})
+    result.attrs = {k: v for k, v in base.attrs.items() if k in _COMMON}
+    return result
+
+
+_COMMON = ("input", "input_sha256", "source", "source_sha256", "method", "software_version")
