@@ -83,6 +83,7 @@ def test_names_that_are_no_utf_8(here):
         ("NUMBA_NUM_THREADS", "0"),
         ("NUMBA_THREADING_LAYER", "nonsense"),
         ("NUMBA_DISABLE_JIT", "1"),
+        ("OPTICAL_PALPATION_NUMBA", "private"),
     ],
 )
 def test_unusable_settings_of_numba_are_named(here, name, value):

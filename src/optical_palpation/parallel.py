@@ -1,4 +1,8 @@
-"""Work on the rows of a grid, shared among the threads."""
+"""Work on the rows of a grid, shared among the threads.
+
+Numba's threads are launched by way of its lowering, most of which is not documented; without it
+(:func:`~optical_palpation.runtime.environment.public_numba`) one thread does all rows.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ from numba import extending
 from numba.core import cgutils, types
 
 from optical_palpation.errors import InputError
-from optical_palpation.runtime.environment import check_environment
+from optical_palpation.runtime.environment import check_environment, public_numba
 from optical_palpation.runtime.kernels import keep_kernels
 
 keep_kernels()
@@ -188,3 +192,11 @@ def _part(context, builder, description, signature, task):
         inner.store(size(1), cgutils.gep_inbounds(inner, shared, 0, 3))
     inner.ret_void()
     return part
+
+
+if public_numba():
+
+    @nb.njit
+    def in_parallel(kernel, count, arguments):
+        """Call kernel(*arguments, 0, count) on this thread."""
+        kernel(*arguments, 0, count)

@@ -1,12 +1,19 @@
-"""Instructions of the processor that numba has no function for."""
+"""Instructions of the processor that numba has no function for.
+
+They are made by way of numba's lowering, most of which is not documented; without it
+(:func:`~optical_palpation.runtime.environment.public_numba`) loops stand in for them.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numba as nb
 from llvmlite import ir
 from numba import extending
 from numba.core import types
+
+from optical_palpation.runtime.environment import public_numba
 
 from .lanes import L
 
@@ -58,3 +65,16 @@ def add_lanes(typing_context, target, first, source, start):
         return context.get_dummy_value()
 
     return types.void(target, first, source, start), generate
+
+
+if public_numba():
+
+    @nb.njit
+    def prefetch(array, index):
+        """Do nothing: the processor asks for the memory itself."""
+
+    @nb.njit
+    def add_lanes(target, first, source, start):
+        """Add source[start : start + L] to target[first : first + L]."""
+        for lane in range(L):
+            target[first + lane] += source[start + lane]

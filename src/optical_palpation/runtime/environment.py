@@ -12,6 +12,17 @@ _LAYERS = ("default", "safe", "threadsafe", "forksafe", "omp", "tbb", "workqueue
 _LIBRARIES, _PER_CORE = 0.9e9, 4e7
 
 
+def public_numba() -> bool:
+    """Whether kernels are to do without the private parts of numba.
+
+    They are what ``parallel``, ``mechanics.intrinsics`` and ``runtime.kernels`` lean on: faster
+    compilation, all threads, prefetching, kept kernels that are never stale. Should a version of
+    numba break them, the environment variable ``OPTICAL_PALPATION_NUMBA=public`` replaces them by
+    what numba documents; kernels then run on one thread.
+    """
+    return os.environ.get("OPTICAL_PALPATION_NUMBA", "").strip() == "public"
+
+
 def check_environment() -> None:
     """Refuse environment variables of numba with which kernels cannot run.
 
@@ -23,6 +34,7 @@ def check_environment() -> None:
     for name, usable, hint in (
         ("NUMBA_NUM_THREADS", lambda v: v.isdecimal() and int(v) > 0, "a number of at least 1"),
         ("NUMBA_THREADING_LAYER", lambda v: v in _LAYERS, f"one of {', '.join(_LAYERS)}"),
+        ("OPTICAL_PALPATION_NUMBA", lambda v: v == "public", "public"),
         ("NUMBA_DISABLE_JIT", lambda v: v == "0", "0: the kernels work compiled only"),
     ):
         value = os.environ.get(name, "").strip()

@@ -8,6 +8,7 @@ checked before it is run, and where nothing can be kept kernels are compiled in 
 from __future__ import annotations
 
 import hashlib
+import os
 import pickle
 import tempfile
 import warnings
@@ -17,7 +18,8 @@ from typing import Any
 
 import numba.core.caching
 
-from optical_palpation.runtime.source import PACKAGE, modules_digest
+from optical_palpation.runtime.environment import public_numba
+from optical_palpation.runtime.source import PACKAGE, modules_digest, source_digest
 
 # Mostly private to numba: keep_kernels alone leans on it.
 caching: Any = numba.core.caching
@@ -107,7 +109,17 @@ class CheckedFile(caching.IndexDataCacheFile):
 
 
 def keep_kernels() -> None:
-    """Let numba keep this package's kernels in this way; call it before they are defined."""
+    """Let numba keep this package's kernels in this way; call it before they are defined.
+
+    Without numba's private parts they are kept as numba does it, in a folder of this state of the
+    sources.
+    """
+    if public_numba():
+        base = os.environ.get("NUMBA_CACHE_DIR") or Path.home() / ".cache" / "optical-palpation"
+        state = source_digest("mechanics", "thickness", "volume")[:16]
+        config: Any = numba.config
+        config.CACHE_DIR = str(Path(base) / f"public-{state}")
+        return
     if KernelLocator not in caching.CacheImpl._locator_classes:
         caching.CacheImpl._locator_classes.insert(0, KernelLocator)
         caching.IndexDataCacheFile = CheckedFile
