@@ -37,4 +37,4 @@ package: $(VENV)/.installed-test
 	.ci/package
 
 clean:
-	rm -rf $(VENV) demo-output docs-output
+	rm -rf $(VENV) demo-output docs-output docs/_generated

@@ -1,14 +1,95 @@
-"""Sphinx: the pages of this folder as a site (``make docs``)."""
+"""Sphinx: the pages of this folder as a site (``make docs``).
+
+The command line and the template of a study are written into ``_generated`` by the commands
+themselves before each build, the gallery by Sphinx-Gallery.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
 
 from optical_palpation.runtime import software_version
+from optical_palpation.study import write_template
+
+HERE = Path(__file__).parent
+GENERATED = HERE / "_generated"
 
 project = "Optical palpation"
 author = copyright = "The Optical Palpation developers"
 version = release = software_version()
-extensions = ["myst_parser"]
-myst_enable_extensions = ["colon_fence", "dollarmath"]
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.viewcode",
+    "numpydoc",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["gallery/*", "_generated/gallery/*.ipynb"]
+suppress_warnings = ["config.cache"]  # the gallery's options hold a function
+
+# Pages in Markdown, notebooks executed anew in each build
+myst_enable_extensions = ["colon_fence", "dollarmath", "amsmath", "deflist"]
 myst_heading_anchors = 3
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+nb_execution_show_tb = True
+nb_merge_streams = True
+
+# Python, from the docstrings
+autosummary_generate = False
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # the docstrings say it, with units
+autodoc_class_signature = "separated"
+autodoc_default_options = {"exclude-members": "__init__, __new__"}
+numpydoc_show_class_members = False
+
+sphinx_gallery_conf = {
+    "examples_dirs": "gallery",
+    "gallery_dirs": "_generated/gallery",
+    "filename_pattern": r"plot_",
+    "within_subsection_order": "FileNameSortKey",
+    "abort_on_example_error": True,
+    "remove_config_comments": True,
+    "show_memory": False,
+    "min_reported_time": 1e9,
+    "write_computation_times": False,
+    "download_all_examples": False,
+    "copyfile_regex": r"$^",
+}
+
+copybutton_prompt_text = r"\$ |>>> "
+copybutton_prompt_is_regexp = True
+copybutton_line_continuation_character = "\\"
 
 html_theme = "pydata_sphinx_theme"
 html_title = project
-html_theme_options = {"show_prev_next": True, "navigation_with_keys": False}
+html_show_sourcelink = False
+html_theme_options = {
+    "show_prev_next": True,
+    "navigation_with_keys": False,
+    "header_links_before_dropdown": 6,
+    "show_toc_level": 2,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+
+
+def _generate(_app) -> None:
+    GENERATED.mkdir(exist_ok=True)
+    title = "The command line"
+    command = ["-m", "typer", "optical_palpation.cli", "utils", "docs", "--title", title]
+    named = ["--name", "optical-palpation", "--output", str(GENERATED / "command-line.md")]
+    subprocess.run([sys.executable, *command, *named], check=True, stdout=subprocess.DEVNULL)
+    template = GENERATED / "study.toml"
+    template.unlink(missing_ok=True)
+    write_template(template)
+
+
+def setup(app) -> None:
+    """Write what the software says about itself before anything is read."""
+    app.connect("builder-inited", _generate, priority=1)

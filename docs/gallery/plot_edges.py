@@ -1,0 +1,31 @@
+"""
+Where the layer ends
+====================
+
+``free`` edges take the field of view for the whole layer; ``padded`` edges let it go on for three
+thicknesses. The pressure of an incompressible layer grows with the distance from its free sides,
+so this changes the whole map and not its border alone.
+"""
+
+import matplotlib.pyplot as plt
+
+import optical_palpation as op
+from optical_palpation.experiment import sample_truth
+
+truth = sample_truth("relief")
+study = op.Study(
+    loaded=truth["loaded_thickness"],
+    unloaded=0.5,
+    material=op.MooneyRivlin(c10=2.23, c01=0.703),
+    friction={"window": 0.15, "sample": 0.1},
+    grid=0.25,
+)
+results = {edges: study.with_(grid={"edges": edges}).run() for edges in ("free", "padded")}
+
+limits = (float(min(r.maps["axial_stress"].min() for r in results.values())), 0)
+figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
+for ax, (edges, result) in zip(axes, results.items(), strict=True):
+    result.plot(ax=ax, limits=limits)
+    force = result.maps.attrs["window_force_mN"]
+    ax.set_title(f"{edges}: {force:.0f} mN", loc="left")
+figure.show()
