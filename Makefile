@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-quick lint docs package clean
+.PHONY: demo test test-quick lint docs pictures package clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -32,6 +32,10 @@ lint: $(VENV)/.installed-test
 
 docs: $(VENV)/.installed-test
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs-output
+
+# The pictures of README and docs, made anew; needs Chromium.
+pictures: $(VENV)/.installed-test
+	$(BIN)/python docs/pictures.py
 
 package: $(VENV)/.installed-test
 	.ci/package

@@ -7,20 +7,14 @@ examples ``python``; the examples of a page share their names. A block below
 a fresh environment): their targets are looked up instead.
 """
 
-import html
-import importlib
 import os
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import unquote
 
 import pytest
-
-import optical_palpation as op
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
@@ -124,73 +118,3 @@ def test_every_local_link_leads_somewhere(page):
     for target in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
         if "://" not in target:
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    """The site as ``make docs`` builds it, of a copy: the build writes beside its sources."""
-    folder = tmp_path_factory.mktemp("docs")
-    made = shutil.ignore_patterns("_generated")
-    shutil.copytree(ROOT / "docs", folder / "docs", ignore=made)
-    for name in ("CONTRIBUTING.md", "CHANGELOG.md"):
-        shutil.copy(ROOT / name, folder)
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
-    done = subprocess.run(
-        [*command, folder / "docs", folder / "site"], capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    return folder / "site"
-
-
-@pytest.mark.slow
-def test_site_builds_without_a_warning_and_shows_every_page(site):
-    docs = ROOT / "docs"
-    sources = [*PAGES[1:], *docs.glob("**/*.rst"), *docs.glob("notebooks/*.ipynb")]
-    expected = {
-        source.relative_to(docs).with_suffix(".html")
-        for source in sources
-        if "_generated" not in source.parts and source.parent != docs / "gallery"
-    }
-    for example in docs.glob("gallery/plot_*.py"):
-        expected.add(Path("_generated/gallery") / example.with_suffix(".html").name)
-    made = {page.relative_to(site) for page in site.glob("**/*.html")}
-    assert not expected - made
-
-
-@pytest.mark.slow
-def test_every_link_within_the_site_leads_to_a_page_and_a_place_on_it(site):
-    links, places = {}, {}
-    for page in site.glob("**/*.html"):
-        if "_static" not in page.parts:
-            text = page.read_text()
-            places[page] = set(re.findall(r'\sid="([^"]+)"', text))
-            links[page] = set(re.findall(r'<a\s[^>]*href="([^"]+)"', text))
-    assert len(places) > 40
-    broken = []
-    for page, targets in links.items():
-        for target in targets:
-            path, _, place = html.unescape(target).partition("#")
-            if "://" in path or path.startswith("mailto:"):
-                continue
-            goal = (page.parent / unquote(path)).resolve() if path else page
-            if not goal.is_file() or (place and goal in places and place not in places[goal]):
-                broken.append(f"{page.relative_to(site)}: {target}")
-    assert not broken
-
-
-@pytest.mark.slow
-def test_reference_has_every_public_name_and_every_command(site):
-    from optical_palpation.cli import app
-
-    references = (page.read_text() for page in (site / "api").glob("*.html"))
-    places = set(re.findall(r'id="optical_palpation\.([^"]+)"', "".join(references)))
-    for package in ("", *op._SUBPACKAGES, "batch", "experiment"):
-        module = importlib.import_module(f"optical_palpation.{package}".rstrip("."))
-        for name in getattr(module, "__all__", ()):
-            thing = getattr(module, name)
-            if (callable(thing) or isinstance(thing, type)) and getattr(thing, "__doc__", None):
-                home = {place for place in places if place.split(".")[-1] == name}
-                assert home, f"{module.__name__}.{name} is not in the reference"
-    page = (site / "_generated" / "command-line.html").read_text()
-    for command in app.registered_commands:
-        assert f'id="optical-palpation-{command.callback.__name__}"' in page
