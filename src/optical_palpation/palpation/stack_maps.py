@@ -1,4 +1,4 @@
-"""What a loaded stack shows: thickness as OCT would see it, and the true stress."""
+"""What a loaded stack shows: thickness as OCT would see it, and the stress on the layer."""
 
 from __future__ import annotations
 

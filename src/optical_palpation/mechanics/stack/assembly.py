@@ -1,0 +1,201 @@
+"""Meshes of a layer on a deformable sample, and the contacts between window, both and plate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optical_palpation.errors import InputError
+from optical_palpation.material import Law
+
+from ..body import Body
+from ..grid import LayerGrid, node_positions
+from .contact import Sides
+from .problem import WINDOW, Stack, column_forces
+from .projection import Interface, Plane
+
+Array = NDArray[np.float64]
+Field = Callable[[Array, Array], Array]
+
+_GROWTH_OUTSIDE = 1.3  # of the layer's elements beyond the sample
+#: Slip over which friction builds up, as a share of the layer's thickness.
+_SLIP_LENGTH = 2e-3
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Sizes of elements, mm.
+
+    ``size`` is that of the layer, laterally and, unless ``layers`` says how many there are, across
+    it; ``edge`` that of the outermost ones; the sample's grow by ``growth`` each towards the plate.
+    """
+
+    size: float
+    edge: float | None = None
+    layers: int | None = None
+    growth: float = 1.25
+
+    def coarser(self, factor: float, thickness: float) -> Mesh:
+        """Return elements ``factor`` times as large for a layer of that thickness."""
+        wanted = self.layers or max(3, round(thickness / self.size))
+        return Mesh(
+            factor * self.size,
+            self.edge and factor * self.edge,
+            max(2, round(wanted / factor)),
+            self.growth**factor,
+        )
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """A layer and the sample below it, which is centred there.
+
+    ``extent`` (x0, x1, y0, y1) of the layer, its unloaded ``thickness`` and the sample's
+    ``relief``, both functions of x and y, ``sample_size`` (x, y) and ``sample_thickness``, that
+    below a relief of 0; all in mm. ``friction`` at window, interface and plate; ``travel`` of the
+    plate after layer and sample have met, mm.
+    """
+
+    extent: tuple[float, float, float, float]
+    thickness: Field
+    law: Law
+    sample_size: tuple[float, float]
+    sample_thickness: float
+    sample_law: Law
+    relief: Field
+    friction: tuple[float, float, float]
+    travel: float
+
+
+def assemble(
+    blocks: Blocks, mesh: Mesh, stiffness: Callable[[LayerGrid], Array] | None = None
+) -> Stack:
+    """Mesh layer and sample; ``stiffness`` gives the factor of each element of the sample.
+
+    Raises
+    ------
+    InputError
+        If the elements are too large, or the relief leaves next to nothing of the sample.
+    """
+    x0, x1, y0, y1 = blocks.extent
+    lateral = [
+        _lateral(length, own, mesh.size, mesh.edge, axis)
+        for length, own, axis in zip((x1 - x0, y1 - y0), blocks.sample_size, "xy", strict=True)
+    ]
+    (layer_x, sample_x), (layer_y, sample_y) = (
+        (start + a, start + b) for start, (a, b) in zip((x0, y0), lateral, strict=True)
+    )
+
+    unloaded = blocks.thickness(*np.meshgrid(layer_x, layer_y))
+    typical = float(np.median(unloaded))
+    count = mesh.layers or max(3, round(typical / mesh.size))
+    layer_grid = LayerGrid(layer_x, layer_y, np.linspace(0, 1, count + 1), unloaded)
+    layer = Body(layer_grid, blocks.law)
+
+    at = np.meshgrid(sample_x, sample_y)
+    height = blocks.relief(*at)
+    # They touch first where the layer and what stands out of the sample are thickest together.
+    reach = float((blocks.thickness(*at) + height).max())
+    top = reach - height
+    plate = reach + blocks.sample_thickness
+    if (plate - top).min() < 0.1 * blocks.sample_thickness:
+        raise InputError(
+            f"sample: the relief reaches down to {(plate - top).min():.3g} mm above the plate; "
+            f"make the sample thicker than {blocks.sample_thickness:g} mm or the relief flatter"
+        )
+    depth = _graded(blocks.sample_thickness, typical / count, mesh.growth)
+    sample_grid = LayerGrid(sample_x, sample_y, depth, plate - top)
+    factors = stiffness(sample_grid) if stiffness else np.ones(sample_grid.shape)
+    sample = Body(sample_grid, blocks.sample_law, factors, top)
+
+    number = np.arange(layer.n_nodes).reshape(layer_grid.node_shape)
+    below = number.size + np.arange(sample.n_nodes).reshape(sample_grid.node_shape)
+    # The slaves are those of the smaller body, so that none slides off the other's edge; of equal
+    # ones the layer's, as it is held by the window.
+    if any(
+        own < length * (1 - 1e-9)
+        for own, length in zip(blocks.sample_size, (x1 - x0, y1 - y0), strict=True)
+    ):
+        slave, master, side = sample_grid, layer_grid, 1.0
+        faces = below[0], number[-1]
+    else:
+        slave, master, side = layer_grid, sample_grid, -1.0
+        faces = number[-1], below[0]
+    start = np.stack(
+        [
+            np.tile(np.interp(slave.x, master.x, np.arange(master.x.size)), slave.y.size),
+            np.repeat(np.interp(slave.y, master.y, np.arange(master.y.size)), slave.x.size),
+        ],
+        axis=1,
+    )
+    surfaces = (
+        (layer_grid, layer.nodes[:, 0]),
+        (slave, (sample.nodes[:, 0] if side > 0 else layer.nodes[:, -1])),
+        (sample_grid, sample.nodes[:, -1]),
+    )
+    element_height, _, width = layer_grid.spacing
+    window, interface, base = (grid.surface_areas(nodes).ravel() for grid, nodes in surfaces)
+    at_window, at_interface, at_plate = blocks.friction
+    stack = Stack(
+        bodies=(layer, sample),
+        contacts=(
+            Plane(number[0].ravel(), -1.0, at_window),
+            Interface(faces[0], faces[1], at_interface, side, start, master.spacing[2]),
+            Plane(below[-1].ravel(), 1.0, at_plate),
+        ),
+        sides=Sides(
+            number[layer_grid.side_nodes].ravel(), blocks.law.shear_modulus * width, element_height
+        ),
+        slave_grids=(layer_grid, slave, sample_grid),
+        areas=(window, interface, base),
+        plate=plate,
+        compression=blocks.travel,
+        slip_length=_SLIP_LENGTH * typical,
+    )
+    pressure = column_forces(stack)[WINDOW].sum() / window.sum()
+    strain = min(0.5, pressure / (3 * stack.shear_modulus))
+    sides = replace(stack.sides, height=(1 - strain) * element_height)
+    return replace(stack, sides=sides)
+
+
+def _lateral(
+    layer: float, sample: float, size: float, edge: float | None, axis: str
+) -> tuple[Array, Array]:
+    """Lateral nodes of layer and sample along one axis, equal where both bodies are."""
+    smaller = min(layer, sample)
+    if size > 0.25 * smaller * (1 + 1e-9):
+        raise InputError(
+            f"mesh: element_size {size:g} mm is larger than a quarter of the smaller body along "
+            f"{axis}, {0.25 * smaller:g} mm"
+        )
+    start = 0.5 * (layer - smaller)
+    if edge is not None and edge > size:
+        within = start + edge + node_positions(smaller - 2 * edge, size)
+        inner = np.concatenate([[start], within, [start + smaller]])
+    else:
+        inner = node_positions(smaller, size, start, edge=edge)
+    return _extended(inner, start, size), _extended(inner, 0.5 * (sample - smaller), size)
+
+
+def _extended(inner: Array, width: float, size: float) -> Array:
+    """Continue nodes on both sides by ``width`` with growing elements."""
+    if width < 1e-9:
+        return inner
+    widths = [min(_GROWTH_OUTSIDE * (inner[1] - inner[0]), size)]
+    while sum(widths) < width:
+        widths.append(min(widths[-1] * _GROWTH_OUTSIDE, 2 * size))
+    outside = np.cumsum(widths) * width / sum(widths)
+    return np.concatenate([inner[0] - outside[::-1], inner, inner[-1] + outside])
+
+
+def _graded(thickness: float, first: float, growth: float) -> Array:
+    """Depth fractions of elements that grow from about ``first`` by ``growth`` each."""
+    widths = [first]
+    while sum(widths) < thickness - 0.5 * widths[-1] * growth:
+        widths.append(widths[-1] * growth)
+    if len(widths) < 2:
+        widths = [1.0, 1.0]
+    return np.concatenate([[0.0], np.cumsum(widths) / sum(widths)])

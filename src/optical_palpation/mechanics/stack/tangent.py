@@ -1,0 +1,188 @@
+"""The tangent of a stack in equilibrium as one sparse matrix, factorised once for many loads.
+
+Newton's method does not need it (``linear``). Derivatives of a solution by hundreds of parameters
+do: each of them is one more right-hand side.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ..body import Body
+from ..direct import sparse_matrix
+from ..elements import GRADIENTS, internal_force
+from ..factors import Factors
+from .contact import ContactTerms
+from .newton import balance
+from .problem import INTERFACE, Stack, State
+
+Array = NDArray[np.float64]
+
+#: Stiffness of closed contact at most, in scales c of its law: it moves by 1e-8 of what it carries.
+_CLOSED = 1e8
+#: Stiffness, in shear moduli times an element's width, that holds what nothing else holds.
+_HOLD = 1e-8
+
+
+class Tangent:
+    """The derivative of the equilibrium of a stack, with pressures and contact forces condensed.
+
+    Friction is taken from the slip since the last accepted load, as in Newton's method.
+    """
+
+    def __init__(self, stack: Stack, state: State) -> None:
+        self.stack, self.state = stack, state
+        now = balance(stack, state)
+        position = stack.position(state.u)
+        blocks = [
+            _stiffness(body, u, p)
+            for body, u, p in zip(stack.bodies, stack.split(state.u), state.p, strict=True)
+        ]
+        matrix = sp.csr_matrix(sp.block_diag(blocks)) + _sides(stack, position)
+        #: Force of each contact's slaves by displacement, (slaves, 3 n_nodes), mN / mm.
+        self.contact_forces: list[sp.csr_matrix] = []
+        for n, term in enumerate(now.terms):
+            forces = _normal_forces(term, stack.scales[n], stack.n_nodes)
+            self.contact_forces.append(forces)
+            matrix = matrix + _matrix(term.rows, term, stack.n_nodes).T @ forces
+            matrix = matrix + _friction(term, stack.n_nodes)
+        matrix = matrix + _interface(stack, now.terms[INTERFACE], position)
+        hold = _HOLD * stack.shear_modulus * stack.bodies[0].grid.spacing[2]
+        matrix = matrix + hold * sp.eye_array(matrix.shape[0])
+        lateral = [body.nodes[:2].reshape(2, -1).T for body in stack.bodies]
+        self.matrix = sp.csr_matrix(matrix)
+        self._factors = Factors(self.matrix, np.concatenate(lateral))
+
+    def displacement(self, force: Array) -> Array:
+        """Displacements (3 n_nodes, m), mm, that balance nodal forces (3 n_nodes, m), mN."""
+        return self._factors.solve(force)
+
+
+def _stiffness(body: Body, u: Array, p: Array) -> sp.csr_matrix:
+    """Tangent of one body with its pressure condensed, node by node."""
+    nz, ny, nx = body.grid.shape
+    divergence = np.empty((nz, ny, 24, nx))
+    planes = body.tangent_planes(u, p, body.law.bulk_modulus, divergence)
+    stencil = np.stack([plane[..., : nx + 1].copy() for plane in planes])
+    matrix = sparse_matrix(stencil, np.ones(u.shape, bool))
+    by_node = np.arange(u.size).reshape(3, -1).T.ravel()
+    return sp.csr_matrix(matrix[by_node][:, by_node])
+
+
+def _sides(stack: Stack, position: Array) -> sp.csr_matrix:
+    diagonal = np.zeros((stack.n_nodes, 3))
+    diagonal[stack.sides.nodes, 2] = stack.sides.force(position)[1]
+    return sp.csr_matrix(sp.diags_array(diagonal.ravel()))
+
+
+def _matrix(values: Array, term: ContactTerms, n_nodes: int) -> sp.csr_matrix:
+    """Sparse (slaves, 3 n_nodes) of values (slaves, q, 3) that belong to nodes."""
+    nodes = term.projection.nodes
+    n, q = nodes.shape
+    rows = np.repeat(np.arange(n), 3 * q)
+    columns = (3 * nodes[:, :, None] + np.arange(3)).ravel()
+    return sp.csr_matrix((values.ravel(), (rows, columns)), shape=(n, 3 * n_nodes))
+
+
+def _normal_forces(term: ContactTerms, scale: Array, n_nodes: int) -> sp.csr_matrix:
+    """Changes of the vertical contact forces by displacements."""
+    projection = term.projection
+    penetration = -projection.weights[:, :, None] * projection.direction[:, None, :]
+    spring = np.where(term.rigid, _CLOSED * scale, term.spring)
+    return sp.csr_matrix(
+        sp.diags_array(np.minimum(spring, _CLOSED * scale)) @ _matrix(penetration, term, n_nodes)
+    )
+
+
+def _lateral(nodes: NDArray[np.intp], weights: Array, n_nodes: int) -> list[sp.csr_matrix]:
+    """Lateral offsets x and y (slaves, 3 n_nodes) of slaves from points of the master."""
+    n, q = nodes.shape
+    rows = np.repeat(np.arange(n), q)
+    return [
+        sp.csr_matrix((weights.ravel(), (rows, (3 * nodes + c).ravel())), shape=(n, 3 * n_nodes))
+        for c in range(2)
+    ]
+
+
+def _friction(term: ContactTerms, n_nodes: int) -> sp.csr_matrix:
+    """Derivative of friction by the slip since the last load."""
+    projection, anchor = term.projection, term.state.anchor
+    slip = _lateral(anchor.nodes, anchor.weights, n_nodes)
+    acts = _lateral(projection.nodes, projection.weights, n_nodes)
+    stiffness = term.friction_stiffness
+    parts = [
+        acts[c].T @ sp.diags_array(stiffness[:, c, d]) @ slip[d] for c in range(2) for d in range(2)
+    ]
+    return sp.csr_matrix(sum(parts[1:], parts[0]))
+
+
+def _interface(stack: Stack, term: ContactTerms, position: Array) -> sp.csr_matrix:
+    """Turning of contact forces with the slave's faces, and their way over the master's."""
+    projection, n_nodes = term.projection, stack.n_nodes
+    normal = np.maximum(term.state.force, 0.0)
+    neighbours, turning = projection.neighbours, projection.turning
+    assert neighbours is not None
+    assert turning is not None
+    acts = _lateral(projection.nodes, projection.weights, n_nodes)
+    n = neighbours.shape[0]
+    rows = np.repeat(np.arange(n), 27)
+    columns = (3 * neighbours[:, :, None] + np.arange(3)).ravel()
+    matrix = sp.csr_matrix((3 * n_nodes, 3 * n_nodes))
+    for c in range(2):
+        values = (normal[:, None, None] * turning[:, :, c]).ravel()
+        turn = sp.csr_matrix((values, (rows, columns)), shape=(n, 3 * n_nodes))
+        matrix = matrix - acts[c].T @ turn
+    # The shares of the master's nodes change as the slave moves over its surface.
+    force = normal[:, None] * projection.push
+    force[:, :2] -= normal[:, None] * term.sliding
+    for way in range(2):
+        values = projection.gradient[:, :, way, None] * force[:, None, :]
+        shares = _matrix(values, term, n_nodes)
+        matrix = matrix + shares.T @ acts[way]
+    return sp.csr_matrix(matrix)
+
+
+def stiffness_forces(body: Body, u: Array, p: Array) -> Array:
+    """Derivative of a body's nodal forces by the logarithm of the stiffness of its columns.
+
+    Parameters
+    ----------
+    u, p
+        Displacement (3, nz + 1, ny + 1, nx + 1), mm, and pressures (nz, ny, nx), kPa, in
+        equilibrium.
+
+    Returns
+    -------
+    numpy.ndarray
+        Forces of each column of elements on its nodes, (ny, nx, 3, nz + 1, 2, 2), mN.
+    """
+    nz, ny, nx = body.grid.shape
+    out = np.zeros((ny, nx, 3, nz + 1, 2, 2))
+    whole = np.broadcast_to(body.factor, body.grid.shape)
+    for odd_y in range(2):
+        for odd_x in range(2):
+            factor, own = np.full(body.grid.shape, 1e-300), np.zeros(body.grid.shape)
+            these = (slice(None), slice(odd_y, None, 2), slice(odd_x, None, 2))
+            factor[these], own[these] = whole[these], p[these]
+            force = np.empty(u.shape)
+            scratch = np.empty(body.grid.shape), np.empty(body.grid.shape)
+            internal_force(
+                body.nodes,
+                u,
+                own,
+                factor,
+                body.law.coefficients,
+                GRADIENTS,
+                force,
+                *scratch,
+                np.empty(body.grid.shape[:2]),
+            )
+            for b in range(2):
+                for a in range(2):
+                    corner = force[:, :, odd_y + b :: 2, odd_x + a :: 2]
+                    count = out[odd_y::2, odd_x::2].shape[:2]
+                    corner = corner[:, :, : count[0], : count[1]]
+                    out[odd_y::2, odd_x::2, :, :, b, a] = corner.transpose(2, 3, 0, 1)
+    return out

@@ -1,0 +1,111 @@
+"""The measured loaded thickness as a smooth surface, and the noise that is left over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.sparse.linalg import splu
+
+from optical_palpation.errors import InputError
+
+Array = NDArray[np.float64]
+_DEGREE = 3
+#: Standard deviation of normal noise over the median of its absolute values.
+_NORMAL = 1.4826
+
+
+@dataclass(frozen=True, eq=False)
+class ThicknessSurface:
+    """Cubic spline through a thickness map, by least squares.
+
+    Its knots are as far apart as the elements that must follow it: what varies faster is noise to
+    them. Unlike a Gaussian filter it does not flatten what they can follow.
+
+    Attributes
+    ----------
+    knots
+        Along y and x, mm.
+    coefficients
+        Of the splines, (y, x), mm.
+    noise
+        Standard deviation of a pixel from the surface, mm.
+    pixels
+        Measured pixels for each coefficient.
+    """
+
+    knots: tuple[Array, Array]
+    coefficients: Array
+    noise: float
+    pixels: float
+
+    @classmethod
+    def fitted(cls, thickness: xr.DataArray, spacing: float) -> ThicknessSurface:
+        """Fit a map on ``(y, x)``, mm, NaN where nothing is known, with knots ``spacing`` apart.
+
+        Raises
+        ------
+        InputError
+            If there are fewer pixels than the surface needs.
+        """
+        axes = [thickness[axis].values for axis in "yx"]
+        steps = [float(np.diff(axis).mean()) for axis in axes]
+        knots = [
+            _knots(axis, max(spacing, 2 * step)) for axis, step in zip(axes, steps, strict=True)
+        ]
+        values = thickness.transpose("y", "x").values.ravel()
+        known = np.isfinite(values)
+        along_y, along_x = (
+            BSpline.design_matrix(axis, knot, _DEGREE)
+            for axis, knot in zip(axes, knots, strict=True)
+        )
+        design = sp.csr_matrix(sp.kron(along_y, along_x))[known]
+        count = design.shape[1]
+        if known.sum() < 1.2 * count:
+            raise InputError(
+                f"the loaded thickness has {int(known.sum())} measured pixels, too few for "
+                f"elements of {spacing:g} mm: give a larger element_size"
+            )
+        # Splines beyond the measured pixels are held by next to nothing.
+        normal = design.T @ design + 1e-6 * sp.eye_array(count)
+        coefficients = splu(sp.csc_matrix(normal)).solve(design.T @ values[known])
+        left = values[known] - design @ coefficients
+        noise = _NORMAL * float(np.median(np.abs(left)))
+        noise *= float(np.sqrt(known.sum() / (known.sum() - count)))
+        shape = along_y.shape[1], along_x.shape[1]
+        return cls(
+            (knots[0], knots[1]), coefficients.reshape(shape), noise, float(known.sum() / count)
+        )
+
+    def __call__(self, x: Array, y: Array, dx: int = 0, dy: int = 0) -> Array:
+        """Thickness at points, mm, or a derivative of it; straight on beyond the map."""
+        along = [
+            _basis(points, knots, order)
+            for points, knots, order in zip((y, x), self.knots, (dy, dx), strict=True)
+        ]
+        return np.einsum("na,ab,nb->n", along[0], self.coefficients, along[1])
+
+    def covers(self, x: Array, y: Array) -> NDArray[np.bool_]:
+        """Whether points lie on the map."""
+        (y0, y1), (x0, x1) = ((knots[0], knots[-1]) for knots in self.knots)
+        return (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
+
+
+def _knots(axis: Array, spacing: float) -> Array:
+    count = max(4, round((axis[-1] - axis[0]) / spacing))
+    inner = np.linspace(axis[0], axis[-1], count + 1)
+    return np.concatenate([[axis[0]] * _DEGREE, inner, [axis[-1]] * _DEGREE])
+
+
+def _basis(points: Array, knots: Array, order: int) -> Array:
+    """Values or derivatives (points, coefficients) of the splines; straight beyond the ends."""
+    splines = BSpline(knots, np.eye(len(knots) - _DEGREE - 1), _DEGREE)
+    inside = np.clip(points, knots[0], knots[-1])
+    if order:
+        return splines.derivative(order)(inside)
+    slope = splines.derivative(1)(inside)
+    return splines(inside) + (points - inside)[:, None] * slope

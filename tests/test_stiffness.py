@@ -1,0 +1,319 @@
+"""Stress on a sample that nobody tracked, and its stiffness."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from optical_palpation.errors import ConvergenceError, InputError
+from optical_palpation.experiment import Scene, run_experiment
+from optical_palpation.mechanics.factors import Factors
+from optical_palpation.mechanics.stack.cascade import solve
+from optical_palpation.mechanics.stack.newton import balance
+from optical_palpation.mechanics.stack.problem import INTERFACE, SAMPLE
+from optical_palpation.mechanics.stack.tangent import Tangent, stiffness_forces
+from optical_palpation.palpation import computational_stress
+from optical_palpation.stiffness import InputErrors, Sample, sample_stress
+from optical_palpation.stiffness.forward import Columns, Model
+from optical_palpation.stiffness.measurement import ThicknessSurface
+from optical_palpation.stiffness.sample import check_sample
+from optical_palpation.thickness import clean_thickness, thickness_map
+
+FRICTION = {"window": 0.3, "sample": 0.1, "plate": 0.3}
+EXACT = InputErrors(0, 0, 0, 0, 0, 0)
+
+
+def scene(*stiffness, compression=0.3, **sample):
+    """A small scene, on other elements than those of the inversion."""
+    return Scene.model_validate(
+        {
+            "compression": compression,
+            "layer": {"size": (3.0, 3.0), "thickness": 0.5},
+            "sample": {"size": (3.0, 3.0), "thickness": 1.0, "stiffness": stiffness, **sample},
+            "friction": FRICTION,
+            "mesh": {"element_size": 0.15},
+            "pixel_spacing": 0.05,
+        }
+    )
+
+
+def measured(result, noise=1e-3):
+    maps, layer = result.maps, result.scene.layer
+    values = maps["loaded_thickness"].values
+    values = values + noise * np.random.default_rng(0).normal(size=values.shape)
+    return thickness_map(
+        values,
+        x=maps["x"].values,
+        y=maps["y"].values,
+        layer_extent=(0.0, layer.size[0], 0.0, layer.size[1]),
+    )
+
+
+def cleaned(result):
+    return clean_thickness(measured(result))["thickness"]
+
+
+def known(result, **changed):
+    """What is known of the sample of an experiment."""
+    of = result.scene
+    return replace(Sample(of.sample.thickness, of.compression, of.friction.plate), **changed)
+
+
+def computed(result, sample=None, loaded=None, **options):
+    friction = result.scene.friction
+    arguments = {
+        "window_friction": friction.window,
+        "sample_friction": friction.sample,
+        "element_size": 0.1875,
+        "input_errors": EXACT,
+    }
+    return sample_stress(
+        measured(result) if loaded is None else loaded,
+        result.scene.layer.thickness,
+        result.scene.layer.material,
+        sample or known(result),
+        **(arguments | options),
+    )
+
+
+def error(maps, truth, margin=0.5):
+    """Relative error of the axial stress (root mean square), ``margin`` mm from the sides."""
+    true = truth["axial_stress"].interp(x=maps["x"], y=maps["y"])
+    end = float(maps["x"][-1]) - margin
+    inside = {axis: slice(margin, end) for axis in "xy"}
+    true, here = true.sel(inside), maps["axial_stress"].sel(inside)
+    return float(np.sqrt(((here - true) ** 2).mean() / (true**2).mean()))
+
+
+@pytest.fixture(scope="module")
+def columns():
+    return run_experiment(scene({"kind": "box", "factor": 3.0, "x": [1.5, 3.0]}))
+
+
+@pytest.fixture(scope="module")
+def found(columns):
+    return computed(columns, input_errors=InputErrors())
+
+
+def test_stress_force_and_stiffness_of_soft_and_stiff_columns(columns, found):
+    maps, truth = found.maps, columns.maps
+    still = computational_stress(
+        cleaned(columns),
+        0.5,
+        columns.scene.layer.material,
+        window_friction=0.3,
+        sample_friction=0.1,
+        element_size=0.1875,
+    )
+    assert error(maps, truth) < 0.06
+    assert error(still.maps, truth) > 0.3
+    assert maps.attrs["window_force_mN"] == pytest.approx(truth.attrs["window_force_mN"], rel=0.06)
+    modulus = maps["sample_shear_modulus"].sel(y=slice(0.5, 2.5))
+    soft, stiff = (float(modulus.sel(x=slice(*ends)).mean()) for ends in ((0.5, 1.1), (1.9, 2.5)))
+    mu = columns.scene.sample.material.shear_modulus
+    assert soft == pytest.approx(mu, rel=0.1)
+    assert stiff / soft == pytest.approx(3.0, rel=0.15)
+    # where it passes the middle between the two
+    row = modulus.mean("y").values
+    edge = np.interp(np.sqrt(soft * stiff), row[3:-3], modulus["x"].values[3:-3])
+    assert edge == pytest.approx(1.5, abs=0.15)
+
+
+def test_bands_contain_the_truth_and_widen_with_the_errors_of_the_inputs(columns, found):
+    maps = found.maps
+    true = columns.maps["axial_stress"].interp(x=maps["x"], y=maps["y"])
+    inside = {axis: slice(0.5, 2.5) for axis in "xy"}
+    off = np.abs(maps["axial_stress"] - true).sel(inside)
+    band = maps["axial_stress_error"].sel(inside)
+    assert float((off < band).mean()) > 0.9
+    exact = computed(columns).maps["axial_stress_error"].sel(inside)
+    assert float(exact.mean()) < float(band.mean())
+    assert maps.attrs["force_error_mN"] > 0
+
+
+def test_nearly_rigid_sample_is_an_imprint():
+    """Nothing can be said of its stiffness, and the stress is that of the layer alone."""
+    relief = ({"kind": "sinusoid", "amplitude": 0.05, "wavelength": 1.5},)
+    stiff = {"kind": "box", "factor": 500.0}
+    result = run_experiment(scene(stiff, compression=0.12, relief=relief))
+    x = np.linspace(0, 3, 121)
+    height = xr.DataArray(
+        np.tile(0.05 * np.sin(2 * np.pi * x / 1.5), (x.size, 1)), {"y": x, "x": x}, ("y", "x")
+    )
+    sample = known(result, relief=height)
+    maps = computed(result, sample, loaded=cleaned(result)).maps
+    assert maps.attrs["sample_rigid"] == "yes"
+    assert error(maps, result.maps) < 0.05
+    assert np.isnan(maps["sample_shear_modulus"]).all()
+
+
+def test_a_sample_that_does_not_fit_is_refused_with_its_place(columns):
+    hollow = columns.maps["loaded_thickness"].copy()
+    hollow.values[25:35, 25:35] -= 0.2
+    other = replace(columns, maps=columns.maps.assign(loaded_thickness=hollow))
+    with pytest.raises(ConvergenceError, match=r"no stiffness .* x = 1\.\d+, y = 1\.\d+ mm"):
+        computed(other)
+
+
+@pytest.mark.parametrize(
+    ("changed", "match"),
+    [
+        ({"thickness": -1.0}, "thickness must be positive"),
+        ({"thickness": float("nan")}, "thickness must be a number"),
+        ({"compression": 0.0}, "compression, 0 mm, must be positive"),
+        ({"compression": 2.0}, "more than layer and sample together"),
+        ({"compression": 0.01}, "the plate cannot have moved less"),
+        ({"compression": 1.2}, "the rest is more than 70%"),
+        ({"plate_friction": 3.0}, "plate_friction must lie in"),
+    ],
+)
+def test_samples_that_cannot_be_are_refused(columns, changed, match):
+    loaded = measured(columns)
+    unloaded = xr.full_like(loaded, 0.5)
+    with pytest.raises(InputError, match=match):
+        check_sample(known(columns, **changed), loaded, unloaded)
+
+
+def test_no_contact_is_an_error(columns):
+    loaded = xr.full_like(measured(columns), 0.5)
+    with pytest.raises(InputError, match="nothing is pressed"):
+        sample_stress(
+            loaded,
+            0.5,
+            columns.scene.layer.material,
+            known(columns),
+            window_friction=0.3,
+            sample_friction=0.1,
+            element_size=0.1875,
+        )
+
+
+@pytest.fixture(scope="module")
+def small():
+    """A model of few elements, pressed, and a surface to compare it with."""
+    from optical_palpation.experiment.assembly import build
+
+    of = scene({"kind": "random", "spread": 0.3, "correlation_length": 0.6}, compression=0.1)
+    mesh = of.mesh.model_copy(update={"element_size": 0.375})
+    stack = build(of.model_copy(update={"mesh": mesh}))
+    return stack, solve([stack]).state
+
+
+def test_tangent_is_the_derivative_of_equilibrium(small, monkeypatch):
+    """Pressures and contact forces follow the displacement; the residual changes as it says."""
+    from optical_palpation.mechanics.stack import tangent as module
+
+    monkeypatch.setattr(module, "_CLOSED", 3.0)  # closed contact must not drown all else
+    stack, state = small
+    tangent = Tangent(stack, state)
+    du = 1e-3 * np.random.default_rng(0).normal(size=state.u.shape)
+    now = balance(stack, state)
+    forces = [matrix @ du.ravel() for matrix in tangent.contact_forces]
+    small_step = 1e-4
+
+    def at(fraction):
+        fields = stack.split(state.u + fraction * du)
+        return [
+            body.forces(u, p).volume
+            for body, u, p in zip(stack.bodies, fields, state.p, strict=True)
+        ]
+
+    changes = [
+        (a - b) / (2 * small_step) * body.bulk_modulus / part.reference_volume
+        for a, b, body, part in zip(
+            at(small_step), at(-small_step), stack.bodies, now.bodies, strict=True
+        )
+    ]
+
+    def residual(fraction):
+        return balance(stack, state.stepped(fraction, du, changes, forces)).residual.ravel()
+
+    difference = (residual(small_step) - residual(-small_step)) / (2 * small_step)
+    expected = tangent.matrix @ du.ravel()
+    assert np.linalg.norm(difference - expected) < 1e-6 * np.linalg.norm(expected)
+
+
+def test_stiffness_forces_are_the_derivative_of_internal_forces(small):
+    stack, state = small
+    body = stack.bodies[SAMPLE]
+    u, p = stack.split(state.u)[SAMPLE], state.p[SAMPLE]
+    forces = stiffness_forces(body, u, p)
+    j, i, small_step = 2, 5, 1e-4
+
+    def stiffer(logarithm):
+        factor, pressure = np.array(body.factor), p.copy()
+        factor[:, j, i] *= np.exp(logarithm)
+        pressure[:, j, i] *= np.exp(logarithm)  # at the volume as it is
+        return replace(body, stiffness=factor).forces(u, pressure).force
+
+    derivative = (stiffer(small_step) - stiffer(-small_step)) / (2 * small_step)
+    own = derivative[:, :, j : j + 2, i : i + 2]
+    assert own == pytest.approx(forces[j, i], rel=1e-6, abs=1e-9)
+    assert np.abs(derivative).sum() == pytest.approx(np.abs(own).sum())
+
+
+def test_factors_solve_many_right_hand_sides(small):
+    stack, state = small
+    tangent = Tangent(stack, state)
+    rhs = np.random.default_rng(0).normal(size=(tangent.matrix.shape[0], 40))
+    assert np.abs(tangent.matrix @ tangent.displacement(rhs) - rhs).max() < 1e-5
+    lateral = np.concatenate([body.nodes[:2].reshape(2, -1).T for body in stack.bodies])
+    assert Factors(tangent.matrix, lateral).solve(rhs[:, :1]).shape == (rhs.shape[0], 1)
+
+
+def test_sensitivity_agrees_with_solutions_from_scratch():
+    """On a load path of friction, to the part of it that the slip before the last step is."""
+    of = scene(compression=0.15)
+    blocks = _blocks(of)
+    grid = Columns(np.linspace(0, 3, 7), np.linspace(0, 3, 7))
+    from optical_palpation.mechanics.stack.assembly import Mesh
+
+    model = Model(blocks, Mesh(0.375), grid)
+    x = np.linspace(0, 3, 31)
+    flat = xr.DataArray(np.full((31, 31), 0.45), {"y": x, "x": x}, ("y", "x"))
+    surface = ThicknessSurface.fitted(flat, 0.375)
+    middle, change = np.zeros(grid.shape), np.zeros(grid.shape)
+    change[2:4, 1:3] = 1.0
+    pressed = model.pressed(middle)
+    told = pressed.sensitivity(surface)
+    expected = told.thickness @ model.means @ change.ravel()
+    up, down = (model.pressed(sign * 0.05 * change) for sign in (1, -1))
+    actual = (up.misfit(surface) - down.misfit(surface)).ravel() / 0.1
+    assert np.linalg.norm(actual - expected) < 0.1 * np.linalg.norm(actual)
+    force = float(told.force @ model.means @ change.ravel())
+    assert force == pytest.approx((up.force - down.force) / 0.1, rel=0.1)
+    assert told.pressure.shape[0] == pressed.state.forces[INTERFACE].size
+
+
+def _blocks(of):
+    from optical_palpation.mechanics.stack.assembly import Blocks
+
+    return Blocks(
+        extent=(0.0, 3.0, 0.0, 3.0),
+        thickness=lambda x, _: np.full(x.shape, of.layer.thickness),
+        law=of.layer.material,
+        sample_size=of.sample.size,
+        sample_thickness=of.sample.thickness,
+        sample_law=of.sample.material,
+        relief=lambda x, _: np.zeros_like(x),
+        friction=(of.friction.window, of.friction.sample, of.friction.plate),
+        travel=of.compression,
+    )
+
+
+def test_surface_follows_what_elements_can_and_leaves_the_noise():
+    rng = np.random.default_rng(1)
+    x = np.linspace(0, 5, 201)
+    true = 0.4 + 0.05 * np.sin(2 * np.pi * x / 1.1)[None] * np.cos(x)[:, None]
+    noisy = xr.DataArray(true + 2e-3 * rng.normal(size=true.shape), {"y": x, "x": x}, ("y", "x"))
+    noisy[50:60, 70:80] = np.nan
+    surface = ThicknessSurface.fitted(noisy, 0.125)
+    assert surface.noise == pytest.approx(2e-3, rel=0.03)
+    at_x, at_y = rng.uniform(0.2, 1.0, (2, 500))
+    exact = 0.4 + 0.05 * np.sin(2 * np.pi * at_x / 1.1) * np.cos(at_y)
+    assert (
+        np.sqrt(np.mean((surface(at_x, at_y) - exact) ** 2)) < 2e-3 / np.sqrt(surface.pixels) * 1.5
+    )
+    slope = 0.05 * 2 * np.pi / 1.1 * np.cos(2 * np.pi * at_x / 1.1) * np.cos(at_y)
+    assert np.abs(surface(at_x, at_y, dx=1) - slope).mean() < 0.02
