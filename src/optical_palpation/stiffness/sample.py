@@ -48,8 +48,8 @@ _NO_FIT = 5.0
 _FAR_OFF = 0.1
 #: Standard deviation of the logarithm of a column's stiffness above which nothing is known of it.
 _UNKNOWN = 0.5
-#: Share of the travel that a sample must take, or it is as good as rigid: the travel itself is hardly
-#: known better.
+#: Share of the travel that a sample must take, or it is as good as rigid: nobody knows the travel
+#: much better.
 _RIGID = 0.03
 #: Share of the sample's thickness by which it can be compressed at most.
 _MOST_COMPRESSED = 0.7
