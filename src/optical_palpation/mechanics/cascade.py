@@ -32,18 +32,22 @@ _ON_THE_WAY, _COARSE = 100.0, 1000.0
 #: take longer than the finest. Below the first number that is not worth while; beyond the second,
 #: where a path begins does not change the result.
 _PATH_SHARE, _PATH_ELEMENTS = 1 / 6, (3000, 16000)
+#: Elements (z, y, x) from which on a grid is made coarser along an axis.
+_HALVED = (4, 6, 6)
 
 
 @dataclass
 class Solution:
     """The loaded layer and the record of how it was reached.
 
-    ``record`` lists (elements, load, Newton iterations) of every accepted equilibrium.
+    ``record`` lists (elements, load, Newton iterations) of every accepted equilibrium. ``coarser``
+    is the fully loaded layer on the next coarser grid, where the solution has come from there.
     """
 
     problem: LayerProblem
     state: LayerState
     record: list[tuple[int, float, int]] = field(default_factory=list)
+    coarser: tuple[LayerProblem, LayerState] | None = None
 
     @property
     def newton_iterations(self) -> int:
@@ -60,13 +64,16 @@ def grids(problem: LayerProblem) -> list[LayerProblem]:
     return levels
 
 
-def coarsened(problem: LayerProblem) -> LayerProblem:
+def coarsened(problem: LayerProblem, least: tuple[int, int, int] = _HALVED) -> LayerProblem:
     """Return the problem on a grid of about half as many elements each way.
 
-    The imprint is smoothed to what the coarser elements can follow.
+    The imprint is smoothed to what the coarser elements can follow. Axes (z, y, x) with fewer than
+    ``least`` elements stay as they are; where all of them do, the problem itself is returned.
     """
     grid = problem.grid
-    divisible = np.array(grid.shape) > (3, 5, 5)
+    divisible = np.array(grid.shape) >= least
+    if not divisible.any():
+        return problem
     sizes = np.array(grid.spacing)
     halve = divisible & (sizes < 1.6 * sizes[divisible].min())
     depth = grid.depth[coarse_nodes(grid.shape[0], bool(halve[0]))]
@@ -167,9 +174,11 @@ def solve(
         return state
 
     state: LayerState | None = None
+    coarser: tuple[LayerProblem, LayerState] | None = None
     levels = grids(problem) if cascade else [problem]
     for n in reversed(range(len(levels))):
         level = levels[n]
+        coarser = None if state is None else (levels[n + 1], state)
         if state is not None:
             carried = prolong(state, levels[n + 1], level)
             state = balanced(level, carried) or settled(level, carried)
@@ -189,7 +198,7 @@ def solve(
                 continue  # what a coarse grid cannot bear a finer one may
             record += [(level.grid.n_elements, *step) for step in steps]
     assert state is not None  # there is at least one level
-    return Solution(problem, state, record)
+    return Solution(problem, state, record, coarser)
 
 
 def make_solver(problem: LayerProblem, name: str) -> LinearSolver:

@@ -24,6 +24,7 @@ from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.edges import edge_influence
 from optical_palpation.palpation.memory import check_memory
+from optical_palpation.palpation.mesh_error import MeshError, Quantities, mesh_error
 from optical_palpation.palpation.meshing import (
     SLIP_LENGTH,
     SLIP_LENGTHS,
@@ -188,9 +189,20 @@ def computational_stress(
     now = _checked(solution)
     layer, surface = deformed_layer(solution, now)
     maps = surface_maps(solution, surface, loaded, algebraic, sizes)
+
+    def quantities(problem: LayerProblem, state: LayerState) -> Quantities:
+        if problem is solution.problem:
+            return _total_forces(problem, state)[1], maps["axial_stress"].values
+        coarse = Solution(problem, state)
+        carried = deformed_layer(coarse, balance(problem, state))[1]
+        stress = surface_maps(coarse, carried, loaded, algebraic, sizes)["axial_stress"]
+        return _total_forces(problem, state)[1], stress.values
+
+    with limited_threads(threads):
+        of_mesh = mesh_error(solution, quantities, lambda level: expected_forces(level, material))
     _check_cover(maps["axial_stress"], loaded, solution.state)
     sides = side_contact(solution.problem, solution.state).normal_force.sum(1)
-    window_force, sample_force = map(float, solution.state.normal_force.sum((1, 2)) + sides)
+    window_force, sample_force = _total_forces(solution.problem, solution.state)
     maps.attrs = {
         **{key: value for key, value in loaded.attrs.items() if key.startswith("source")},
         "method": "computational",
@@ -224,6 +236,8 @@ def computational_stress(
         "sides_force_share": float(sides.max()) / max(abs(window_force), 1e-30),
         "slip_length_mm": problem.slip_length,
     }
+    if of_mesh is not None:
+        _add_mesh_error(maps, of_mesh)
     if edge_check:
         if progress:
             progress(Progress("influence of the sides", 1.0, newton))
@@ -327,6 +341,24 @@ def _checked(solution: Solution) -> Balance:
             "elements, a stronger imprint_smoothing or padded edges"
         )
     return now
+
+
+def _total_forces(problem: LayerProblem, state: LayerState) -> tuple[float, float]:
+    """Return what window and sample carry, the sides of the layer included, mN."""
+    sides = side_contact(problem, state).normal_force.sum(1)
+    window, sample = map(float, state.normal_force.sum((1, 2)) + sides)
+    return window, sample
+
+
+def _add_mesh_error(maps: xr.Dataset, error: MeshError) -> None:
+    """Let the discretisation error go with the maps."""
+    maps["axial_stress_mesh_error"] = (
+        ("y", "x"),
+        error.stress,
+        {"units": "kPa"},
+    )
+    maps.attrs["force_mesh_error_mN"] = error.force
+    maps.attrs["mesh_error_coarser_elements"] = error.elements
 
 
 def _check_cover(stress: xr.DataArray, loaded: xr.DataArray, state: LayerState) -> None:

@@ -24,6 +24,10 @@ _ATTRIBUTES: dict[str, dict[str, Any]] = {
     "x": {**_MM, "long_name": "lateral position x", "axis": "X"},
     "y": {**_MM, "long_name": "lateral position y", "axis": "Y"},
     "axial_stress": {**_KPA, "long_name": "axial Cauchy stress at the sample, tension positive"},
+    "axial_stress_mesh_error": {
+        **_KPA,
+        "long_name": "discretisation error of the axial stress, estimated",
+    },
     "contact_pressure": {**_KPA, "long_name": "contact pressure of the sample on the layer"},
     "traction_x": {**_KPA, "long_name": "x component of the traction of the sample on the layer"},
     "traction_y": {**_KPA, "long_name": "y component of the traction of the sample on the layer"},

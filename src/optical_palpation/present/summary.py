@@ -52,6 +52,18 @@ def edge_influence(attrs: Mapping[Hashable, Any], always: bool = False) -> str:
     )
 
 
+def force_error(attrs: Mapping[Hashable, Any]) -> float | None:
+    """Error of the total force, mN, of inputs and mesh together; None where neither is known."""
+    known = [float(attrs[k]) for k in ("force_error_mN", "force_mesh_error_mN") if k in attrs]
+    return float(np.hypot.reduce(known)) if known else None
+
+
+def mesh_error(attrs: Mapping[Hashable, Any]) -> str:
+    """Say by how much the mesh may be off, in the total force."""
+    error, force = attrs["force_mesh_error_mN"], attrs["sample_force_mN"]
+    return f"{error:.2g} mN ({abs(error / force):.1%})" if force else f"{error:.2g} mN"
+
+
 def summarise(result: StressResult) -> str:
     """Return forces, stress and contact of a result as readable lines.
 
@@ -68,6 +80,10 @@ def summarise(result: StressResult) -> str:
     ]
     if forces:
         lines.append("total force: " + ", ".join(forces))
+    if "force_mesh_error_mN" in maps.attrs:
+        lines.append(f"error of the mesh, estimated: {mesh_error(maps.attrs)}")
+    elif forces:
+        lines.append("error of the mesh: unknown, because there is no solution on coarser elements")
     glued = [side for side in ("window", "sample") if maps.attrs.get(f"{side}_contact") == "glued"]
     if glued:
         lines.append(f"glued: {' and '.join(glued)}")

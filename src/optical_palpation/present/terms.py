@@ -64,6 +64,7 @@ _TERMS = {
     "quality": Term("Quality of the boundaries", "", QUALITY, "quality"),
     "edge_influence": Term("Influence of the sides", "", ERROR, "edge_influence"),
     "axial_stress_error": Term("Error of the axial stress", "kPa", ERROR, "error"),
+    "axial_stress_mesh_error": Term("Error of the mesh", "kPa", ERROR, "error"),
     "difference": Term("Difference", "kPa", DIFFERENCE, "difference"),
 }
 

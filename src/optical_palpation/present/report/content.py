@@ -14,7 +14,12 @@ from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.figure import colour_map
 from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.report.maps import encode_map, encode_maps
-from optical_palpation.present.summary import edge_influence, equilibrium
+from optical_palpation.present.summary import (
+    edge_influence,
+    equilibrium,
+    force_error,
+    mesh_error,
+)
 from optical_palpation.present.terms import (
     DIFFERENCE,
     LENGTH,
@@ -227,6 +232,8 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
     if "force_balance" in attrs:
         off = 100 * attrs["force_balance"]
         rows.append(("Difference of the two", f"{off:.2g} %" if off > 1e-3 else "below 0.001 %"))
+    if "force_mesh_error_mN" in attrs:
+        rows.append(("Error of the mesh, estimated", mesh_error(attrs)))
     if "force_residual" in attrs:
         rows.append(("Equilibrium", equilibrium(attrs)))
     if sides := edge_influence(attrs, always=True):
@@ -254,11 +261,14 @@ def key_figures(
     attrs, maps = result.maps.attrs, on_layer(result.maps)
     figures = []
     if "sample_force_mN" in attrs:
-        force = _rounded(attrs["sample_force_mN"], attrs.get("force_error_mN"))
+        force = _rounded(attrs["sample_force_mN"], force_error(attrs))
         figures.append(("Force on the sample", f"{force} mN"))
     names = {"computational": "axial_stress_error", "algebraic": "algebraic_axial_stress_error"}
     for method, stress in methods(result).items():
-        error = maps[names[method]].mean() if names[method] in maps else None
+        error = float(maps[names[method]].mean()) if names[method] in maps else 0.0
+        if method == "computational" and attrs.get("sample_force_mN"):
+            mesh = attrs.get("force_mesh_error_mN", 0.0) / attrs["sample_force_mN"]
+            error = np.hypot(error, mesh * float(stress.mean()))
         figures.append((f"Mean stress, {method}", f"{_rounded(stress.mean(), error)} kPa"))
     if "contact_state" in maps:  # the algebraic method computes none
         touching = float(np.mean(maps["contact_state"].values != ContactState.OPEN))

@@ -1,0 +1,108 @@
+"""The discretisation error that each result carries."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics.cascade import LoadNotReached, Solution, coarsened
+from optical_palpation.mechanics.grid import LayerGrid, graded_depths
+from optical_palpation.mechanics.imprint import Imprint
+from optical_palpation.mechanics.problem import LayerProblem, LayerState
+from optical_palpation.palpation import computational_stress, mesh_error
+from optical_palpation.present import summarise
+from optical_palpation.thickness import thickness_map
+
+GEL = MooneyRivlin(2.23, 0.703)
+AXIS = np.linspace(0, 1.2, 61)
+
+
+def problem(count, depth=4, edges="roller"):
+    nodes = np.linspace(0, 2, count + 1)
+    layer = LayerGrid(nodes, nodes, graded_depths(depth), np.full((count + 1, count + 1), 0.5))
+    flat = np.full((9, 9), 0.5)
+    pixels = np.linspace(0, 2, 9)
+    imprint = Imprint(pixels, pixels, flat, 0.9 * flat)
+    return LayerProblem(layer, imprint, GEL, (0.1, 0.1), edges=edges)
+
+
+def unloaded(of):
+    return LayerState.unloaded(of.grid)
+
+
+def press(size):
+    relief = 0.42 - 0.04 * np.exp(-((AXIS - 0.5) ** 2 + (AXIS[:, None] - 0.7) ** 2) / 0.05)
+    return computational_stress(
+        thickness_map(relief, x=AXIS, y=AXIS, where="bump"),
+        0.5,
+        GEL,
+        window_friction=0.2,
+        sample_friction=0.1,
+        element_size=size,
+        threads=1,
+    )
+
+
+@given(
+    order=st.floats(1, 2),
+    error=st.sampled_from([-1.0, -0.01, 0.3]),
+    depth=st.sampled_from([2, 4, 8]),
+)
+@settings(max_examples=30, deadline=None)
+def test_the_error_of_a_method_of_order_one_to_two_lies_within_the_estimate(order, error, depth):
+    fine = problem(16, depth)
+    coarse = coarsened(fine)
+    size = (fine.grid.n_elements / coarse.grid.n_elements) ** (1 / 3)
+
+    def quantities(level, _):
+        off = error if level is fine else error * size**order
+        return 10 + off, np.full((5, 5), off)
+
+    solution = Solution(fine, unloaded(fine), coarser=(coarse, unloaded(coarse)))
+    found = mesh_error.mesh_error(solution, quantities, lambda _: 0)
+    assert abs(error) * (1 - 1e-6) <= found.force <= abs(error) * (1.25 * (1 + size) + 1e-6)
+    np.testing.assert_allclose(found.stress, found.force, rtol=1e-6, atol=1e-12)
+    assert found.elements == coarse.grid.n_elements
+
+
+def test_free_edges_whose_elements_stay_as_they_are_are_counted():
+    fine = problem(16, edges="free")
+    solution = Solution(fine, unloaded(fine), coarser=(coarsened(fine), unloaded(fine)))
+    found = mesh_error.mesh_error(solution, lambda *_: (100.0, np.zeros((4, 4))), lambda _: 0)
+    assert found.force == pytest.approx(0.5)
+
+
+def test_no_estimate_where_there_is_no_coarser_solution(monkeypatch):
+    def quantities(*_):
+        raise AssertionError("nothing to compare")
+
+    tiny = problem(3, depth=1)
+    assert coarsened(tiny, (2, 4, 4)) is tiny
+    lone = Solution(tiny, unloaded(tiny))
+    assert mesh_error.mesh_error(lone, quantities, lambda _: 0) is None
+
+    def fails(*_, **__):
+        raise LoadNotReached(0.3, "no")
+
+    monkeypatch.setattr(mesh_error, "solve", fails)
+    small = problem(8, depth=2)
+    assert mesh_error.mesh_error(Solution(small, unloaded(small)), quantities, lambda _: 0) is None
+    result = press(0.2)  # a result all the same, which says so
+    assert "force_mesh_error_mN" not in result.maps.attrs
+    assert "error of the mesh: unknown" in summarise(result)
+
+
+def test_the_solution_on_finer_elements_lies_within_the_estimate():
+    coarse, fine = press(0.125), press(0.0417)
+    force, error = (coarse.maps.attrs[f"{key}_mN"] for key in ("sample_force", "force_mesh_error"))
+    true = fine.maps.attrs["sample_force_mN"]
+    assert 0 < abs(force - true) < error < 0.05 * true
+    assert f"error of the mesh, estimated: {error:.2g} mN" in summarise(coarse)
+    bound = coarse.maps["axial_stress_mesh_error"]
+    assert bound.attrs["units"] == "kPa"
+    here = {axis: coarse.maps[axis] for axis in "xy"}
+    off = abs(coarse.maps["axial_stress"] - fine.maps["axial_stress"].interp(here))
+    known = np.isfinite(off)
+    assert (np.isfinite(bound) == np.isfinite(coarse.maps["axial_stress"])).all()
+    assert float((off <= bound).sum() / known.sum()) > 0.7
