@@ -113,3 +113,22 @@ def test_the_picture_and_the_report_say_where_the_sides_matter(rough, tmp_path):
     (row,) = (text for name, text in force_rows(rough["free"]) if name == "Sides of the layer")
     assert row.startswith("were they padded, the pressure would change by more than 5% on 100%")
     assert any("sides of the layer" in text for text in warnings_about(rough["free"]))
+
+
+def test_the_panel_shows_the_algebraic_map_on_the_pixels(rough, tmp_path):
+    result = rough["free"]
+    pixels = result.pixels["algebraic_axial_stress"]
+    assert pixels.shape == (81, 81)
+    assert pixels.shape != result.maps["algebraic_axial_stress"].shape
+    write_result(result, tmp_path / "result.nc")
+    again = read_result(tmp_path / "result.nc").pixels
+    xr.testing.assert_allclose(again, result.pixels, rtol=1e-6)
+    with new_figure() as figure:
+        draw_panel(result.maps, figure, again)
+        drawn = {
+            axes.get_title("left"): axes.collections[0].get_array().shape
+            for axes in figure.axes
+            if axes.collections and "(kPa)" in axes.get_title("left")
+        }
+    assert drawn["Axial stress, algebraic (kPa)"] == pixels.shape
+    assert drawn["Axial stress, computational (kPa)"] == result.maps["axial_stress"].shape

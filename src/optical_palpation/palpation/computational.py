@@ -250,7 +250,8 @@ def computational_stress(
     maps.attrs["unusual"] = json.dumps(unusual(material, maps))
     if motion is not None:
         maps.attrs |= motion.attrs
-    return StressResult(maps, layer, problem, solution.state)
+    pixels = xr.Dataset({"algebraic_axial_stress": algebraic, "loaded_thickness": loaded})
+    return StressResult(maps, layer, problem, solution.state, pixels=pixels.drop_attrs(deep=False))
 
 
 def _check_numbers(

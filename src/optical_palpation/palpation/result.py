@@ -59,6 +59,10 @@ class StressResult:
         xx, yy, zz, yz, xz, xy; kPa). Surface node variables on ``(y, x)``: ``sample_traction``
         and ``window_traction`` (trailing ``component``; kPa per deformed area),
         ``sample_contact_state``, ``window_contact_state``.
+    pixels
+        What the algebraic method makes of the pixels that were given, on their ``(y, x)``:
+        ``algebraic_axial_stress`` (kPa) and ``loaded_thickness`` (mm); ``None`` where the maps lie
+        on these pixels themselves.
     problem
         The boundary-value problem that was solved, for export to other codes; ``None`` for the
         algebraic method.
@@ -68,6 +72,7 @@ class StressResult:
 
     maps: xr.Dataset
     layer: xr.Dataset | None = None
+    pixels: xr.Dataset | None = field(default=None, kw_only=True)
     problem: LayerProblem | None = None
     state: LayerState | None = field(default=None, repr=False)
 

@@ -47,6 +47,7 @@ _ATTRIBUTES: dict[str, dict[str, Any]] = {
 # Inside the file the nodes of the layer need axis names of their own: tools that read the groups
 # of a file as one tree (such as xarray.open_datatree) take equal names for equal axes.
 _NODE_AXES = {axis: f"node_{axis}" for axis in ("x", "y", "z")}
+_PIXEL_AXES = {axis: f"pixel_{axis}" for axis in ("x", "y")}
 
 
 def write_result(result: StressResult, path: str | Path) -> None:
@@ -70,6 +71,9 @@ def write_result(result: StressResult, path: str | Path) -> None:
         layer = _described(result.layer)
         groups["/layer"] = layer.rename({a: b for a, b in _NODE_AXES.items() if a in layer.dims})
         encoding["/layer"] = _compression(layer, dtype=np.float32)
+    if result.pixels is not None:
+        groups["/pixels"] = _described(result.pixels).rename(_PIXEL_AXES)
+        encoding["/pixels"] = _compression(groups["/pixels"], dtype=np.float32)
     for name, group in state_groups(result).items():
         groups[f"/{name}"], encoding[f"/{name}"] = group, _compression(group)
     # By way of memory, because the HDF5 library can crash on a disk that fills up under it.
@@ -91,7 +95,7 @@ def read_result(path: str | Path) -> StressResult:
         raise InputError(f"{path}: no such file")
     try:
         with hdf5.open_file(path) as file:  # refuses what is no NetCDF-4 file, or damaged
-            inside = {name for name in ("layer", *GROUPS) if name in file}
+            inside = {name for name in ("layer", "pixels", *GROUPS) if name in file}
         maps = xr.load_dataset(path, engine="h5netcdf", decode_times=False)
         groups = {
             name: xr.load_dataset(path, engine="h5netcdf", group=name, decode_times=False)
@@ -107,7 +111,10 @@ def read_result(path: str | Path) -> StressResult:
     layer = groups.pop("layer", None)
     if layer is not None:
         layer = layer.rename({b: a for a, b in _NODE_AXES.items() if b in layer.dims})
-    return StressResult(maps, layer, **read_state(groups))
+    pixels = groups.pop("pixels", None)
+    if pixels is not None:
+        pixels = pixels.rename({b: a for a, b in _PIXEL_AXES.items() if b in pixels.dims})
+    return StressResult(maps, layer, **read_state(groups), pixels=pixels)
 
 
 def _described(dataset: xr.Dataset) -> xr.Dataset:

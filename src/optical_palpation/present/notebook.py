@@ -21,7 +21,7 @@ def result_html(result: StressResult) -> str:
     if {"axial_stress", "loaded_thickness"} <= set(result.maps.data_vars):
         stream = io.BytesIO()
         with new_figure("double", panel_height(result.maps)) as figure:
-            draw_panel(result.maps, figure)
+            draw_panel(result.maps, figure, result.pixels)
             figure.savefig(stream, format="png", dpi=_DPI)
         data = base64.b64encode(stream.getvalue()).decode("ascii")
         picture = (

@@ -25,7 +25,8 @@ def write_panel(result: StressResult, path: str | Path, width: Width = "double")
     method on one colour scale, the state of contact with the sample, and the profiles through the
     centre along x and y. The colour scale spans the 1st to 99th percentile of both maps, so that
     the few extreme values at the free edges do not hide the rest. Where the layer's sides change
-    the contact pressure by more than 5 % the map of the computational method is hatched.
+    the contact pressure by more than 5 % the map of the computational method is hatched. Thickness
+    and algebraic stress have the resolution of the image, not that of the elements.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def write_panel(result: StressResult, path: str | Path, width: Width = "double")
         The file cannot be written.
     """
     with figure_file(path, width, panel_height(result.maps), result.maps) as figure:
-        draw_panel(result.maps, figure)
+        draw_panel(result.maps, figure, result.pixels)
 
 
 def panel_height(maps: xr.Dataset) -> float:
@@ -52,36 +53,48 @@ def panel_height(maps: xr.Dataset) -> float:
     return 34.0 + 2 * 40.0 * float(np.clip(np.ptp(maps["y"].values) / across, 0.5, 1.6))
 
 
-def draw_panel(maps: xr.Dataset, figure: Figure) -> None:
-    """Draw the panel into an empty figure."""
+def draw_panel(maps: xr.Dataset, figure: Figure, pixels: xr.Dataset | None = None) -> None:
+    """Draw the panel into an empty figure.
+
+    Thickness and algebraic stress are drawn on the pixels, where these are given, else on the
+    points of the maps.
+    """
     maps = on_layer(maps)
+    fine = maps if pixels is None else on_layer(pixels)
     computational = "contact_pressure" in maps  # the algebraic method alone has none
     methods = {"algebraic": "algebraic_axial_stress", "computational": "axial_stress"}
     if not computational:
         methods = {"algebraic": "axial_stress"}
     shown = ["loaded_thickness", *methods.values(), *(["contact_state"] if computational else [])]
-    stress = common_limits({n: maps[n] for n in methods.values()}, "")
+    fields = {name: fine[name] if name in fine else maps[name] for name in shown}
+    if not computational:
+        fields["axial_stress"] = maps["axial_stress"]
+    stress = common_limits({n: fields[n] for n in methods.values()}, "")
     axes = figure.subplot_mosaic([list("TTAACC"), list("SSXXYY")] if computational else [
         list("TA"), list("XY"),
     ])  # fmt: skip
     places = "TACS" if computational else "TA"
     for place, name in zip(places, shown, strict=True):
         what = term(maps, name)
-        draw_map(axes[place], maps[name], what, limits=stress if what.scale == "stress" else None)
+        draw_map(axes[place], fields[name], what, limits=stress if what.scale == "stress" else None)
     if computational:
         hatch_edges(axes["C"], maps)
     axes["Y"].sharey(axes["X"])
-    for axis, profile in zip("xy", centre_profiles(maps), strict=True):
-        _plot_profile(axes[axis.upper()], axis, profile, methods)
+    both = zip("xy", centre_profiles(maps), centre_profiles(fine), strict=True)
+    for axis, profile, measured in both:
+        _plot_profile(axes[axis.upper()], axis, profile, measured, methods)
     axes["X"].legend()
     letter([axes[place] for place in places + "XY"])
 
 
-def _plot_profile(axes: Axes, axis: str, profile: xr.Dataset, methods: dict[str, str]) -> None:
+def _plot_profile(
+    axes: Axes, axis: str, profile: xr.Dataset, measured: xr.Dataset, methods: dict[str, str]
+) -> None:
     across = "y" if axis == "x" else "x"
     colours = {"algebraic": ALGEBRAIC, "computational": COMPUTATIONAL}
     for method, name in methods.items():
-        axes.plot(profile[axis], profile[name], color=colours[method], label=method)
+        line = measured if name in measured and name != "axial_stress" else profile
+        axes.plot(line[axis], line[name], color=colours[method], label=method)
         if (error := profile.get(f"{name}_error")) is not None:
             low, high = profile[name] - error, profile[name] + error
             axes.fill_between(profile[axis], low, high, color=colours[method], alpha=0.25, lw=0)
