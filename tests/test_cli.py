@@ -379,3 +379,50 @@ def test_installed_command_runs_and_starts_fast():
     assert "stress" in done.stdout
     for heavy in ("numba", "matplotlib", "xarray", "scipy"):
         assert f" {heavy}\n" not in done.stderr, f"{heavy} is imported for --help"
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--compression", "0.3"], "--compression: with a deformable sample --sample-thickness"),
+        (["--sample-thickness", "1"], "also needs --compression, --plate-friction"),
+        (
+            [
+                *["--sample-thickness", "1", "--compression", "0.3", "--plate-friction", "0.3"],
+                "--edges",
+                "roller",
+                "--sample-motion",
+                "0.05",
+            ],
+            "cannot go with --sample-motion, --edges roller",
+        ),
+    ],
+)
+def test_options_of_a_deformable_sample_go_together(here, run, options, reason):
+    status, _out, err = run(
+        "stress", "map.npy", *FRAME, *COMPUTATIONAL, *options, "--output", "o.nc"
+    )
+    assert status == 2
+    assert reason in " ".join(re.sub(r"[│╭╮╰╯─]", " ", err).split())
+    assert list(here.iterdir()) == [here / "map.npy"]
+
+
+def test_deformable_sample_end_to_end(here, run):
+    """A map as of a soft sample: stress and stiffness with bands; what cannot be exits with 2."""
+    y, x = np.meshgrid(np.linspace(0, 2, 41), np.linspace(0, 2, 41), indexing="ij")
+    np.save("soft.npy", 0.44 + 0.01 * ((x - 1) ** 2 + (y - 1) ** 2))
+    options = [*MATERIAL, *FRICTION, "--element-size", "0.25", "--field-of-view", "2", "2"]
+    sample = ["--sample-thickness", "1", "--plate-friction", "0.2", "--compression"]
+    status, _, err = run(
+        "stress", "soft.npy", *options, *sample, "0.2", "--output", "o.nc", "--quiet"
+    )
+    assert (status, err) == (0, "")
+    maps = xr.open_dataset("o.nc", engine="h5netcdf")
+    assert maps["sample_youngs_modulus"].attrs["units"] == "kPa"
+    assert 5 < float(maps["sample_youngs_modulus"].median()) < 60
+    assert float((maps["axial_stress_error"] > 0).mean()) == 1
+    assert maps.attrs["sample_thickness_mm"] == 1
+    status, _, err = run("stress", "soft.npy", *options, *sample, "3", "--output", "p.nc")
+    assert status == 2
+    assert "more than layer and sample together are thick" in " ".join(err.split())
+    assert not (here / "p.nc").exists()

@@ -48,6 +48,13 @@ class Hold(StrEnum):
     GLUED = "glued"
 
 
+class SampleLaw(StrEnum):
+    """How the stress of the sample grows with strain."""
+
+    NEO_HOOKEAN = "neo-hookean"
+    LAYER = "layer"
+
+
 class StressCommand(Command):
     """Lets ``--element-size`` take one value or three, which option parsers cannot express."""
 
@@ -110,6 +117,50 @@ def stress(
             metavar="STRAIN|FILE",
             help="How the sample's surface moves sideways: the strain by which it spreads, or a "
             "file of sample_displacement_x, sample_displacement_y, x, y. By default it does not.",
+        ),
+    ] = None,
+    sample_thickness: Annotated[
+        float | None,
+        typer.Option(
+            metavar="NUMBER",
+            help="Unloaded thickness of a deformable sample, mm. With it the sample is in the "
+            "model, and its stiffness is found too; takes a minute.",
+        ),
+    ] = None,
+    compression: Annotated[
+        float | None,
+        typer.Option(
+            metavar="NUMBER",
+            help="Travel of the plate below the sample after layer and sample have met, mm.",
+        ),
+    ] = None,
+    plate_friction: Annotated[
+        float | None,
+        typer.Option(metavar="NUMBER", help="Friction coefficient between sample and plate."),
+    ] = None,
+    sample_relief: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MAP",
+            help="Height of the sample's unloaded surface, mm, towards the layer; flat if not "
+            "given.",
+        ),
+    ] = None,
+    sample_size: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="X Y", help="Width of the sample, mm; that of the layer if not given."
+        ),
+    ] = None,
+    sample_law: Annotated[
+        SampleLaw, typer.Option(help="Law of the sample: how its stress grows with strain.")
+    ] = SampleLaw.NEO_HOOKEAN,
+    stiffness_smoothing: Annotated[
+        float | None,
+        typer.Option(
+            metavar="NUMBER",
+            help="Smoothing of the sample's stiffness, 0.001 (hardly) to 10 (much); by default "
+            "what the noise demands.",
         ),
     ] = None,
     element_size: Annotated[
@@ -195,6 +246,32 @@ def stress(
         "--sample-friction (or --sample glued)": holds["sample"],
         "--element-size": element_size,
     }
+    about_sample = {
+        "--compression": compression,
+        "--plate-friction": plate_friction,
+        "--sample-relief": sample_relief,
+        "--sample-size": sample_size,
+        "--stiffness-smoothing": stiffness_smoothing,
+    }
+    if sample_thickness is None:
+        if asked := [name for name, value in about_sample.items() if value is not None]:
+            raise typer.BadParameter(
+                f"{', '.join(asked)}: with a deformable sample --sample-thickness is needed too"
+            )
+    else:
+        _check_sample_options(
+            {name: about_sample[name] for name in ("--compression", "--plate-friction")},
+            {
+                "--method algebraic": method is Method.ALGEBRAIC,
+                "--sample-motion": sample_motion is not None,
+                "--window glued": window is Hold.GLUED,
+                "--sample glued": sample is Hold.GLUED,
+                f"--edges {edges.value}": edges is not Edges.FREE,
+                "--imprint-smoothing": imprint_smoothing is not None,
+                "--slip-length": slip_length is not None,
+                "--deck": deck is not None,
+            },
+        )
     layer_outputs = {"--vtk": vtk, "--deck": deck}
     if method is Method.COMPUTATIONAL:
         if absent := [name for name, value in needed.items() if value is None]:
@@ -220,6 +297,8 @@ def stress(
     motion_is_file = sample_motion is not None and not _is_number(sample_motion)
     if motion_is_file:
         inputs.append(Path(str(sample_motion)))
+    if sample_relief is not None:
+        inputs.append(sample_relief)
     outputs = {"result": output, "picture": plot, "ParaView file": vtk}
     outputs |= {"profiles": profiles, "deck": deck}
     wanted = {kind: path for kind, path in outputs.items() if path is not None}
@@ -256,6 +335,35 @@ def stress(
         from optical_palpation.palpation import algebraic_result
 
         result = algebraic_result(loaded, initial, material, glued=glued)
+    elif sample_thickness is not None:
+        from optical_palpation.stiffness import Sample, sample_stress
+
+        if not isinstance(sizes, float):
+            raise typer.BadParameter("--element-size: one number with a deformable sample")
+        assert compression is not None  # refused above
+        assert plate_friction is not None
+        relief = None if sample_relief is None else thickness.read_height_map(sample_relief)
+        law_of_sample = material if sample_law is SampleLaw.LAYER else None
+        with ProgressDisplay(quiet) as progress:
+            result = sample_stress(
+                loaded,
+                initial,
+                material,
+                Sample(
+                    sample_thickness,
+                    compression,
+                    plate_friction,
+                    relief,
+                    sample_size,
+                    law_of_sample,
+                ),
+                window_friction=holds["window"],
+                sample_friction=holds["sample"],
+                element_size=sizes,
+                smoothing=stiffness_smoothing,
+                threads=threads,
+                progress=progress,
+            )
     else:
         assert sizes is not None  # refused above
         from optical_palpation.palpation import (
@@ -307,6 +415,14 @@ def stress(
     if not quiet:
         for kind, path in wanted.items():
             print(f"{kind}: {path}")
+
+
+def _check_sample_options(needed: dict[str, Any], in_the_way: dict[str, bool]) -> None:
+    """Refuse what is missing with a deformable sample, and what makes no sense with it."""
+    if absent := [name for name, value in needed.items() if value is None]:
+        raise typer.BadParameter(f"--sample-thickness also needs {', '.join(absent)}")
+    if asked := [name for name, given in in_the_way.items() if given]:
+        raise typer.BadParameter(f"--sample-thickness cannot go with {', '.join(asked)}")
 
 
 def _element_size(text: str | None) -> float | tuple[float, ...] | None:

@@ -28,6 +28,13 @@ WIDEST_FIELD, THICKEST_LAYER = 500.0, 100.0
 #: Lindley, Proc. R. Soc. A 249:195, 1959).
 CAVITATION = 5 / 6
 
+#: What a result without a sample in the model does not know.
+SOFT_SAMPLE = (
+    "the sample is taken not to move sideways: one as soft as the layer spreads, and its true "
+    "stress may be half of this. Give its --sample-thickness, --compression and --plate-friction "
+    "([sample] of a study) to have it in the model"
+)
+
 
 def check_layer(law: Law) -> None:
     """Refuse a law stiffer than any rubber.

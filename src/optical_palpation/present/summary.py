@@ -7,8 +7,10 @@ from collections.abc import Hashable, Mapping
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from optical_palpation.palpation.edges import NOTABLE
+from optical_palpation.palpation.plausibility import SOFT_SAMPLE
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.profiles import on_layer
 
@@ -64,6 +66,36 @@ def mesh_error(attrs: Mapping[Hashable, Any]) -> str:
     return f"{error:.2g} mN ({abs(error / force):.1%})" if force else f"{error:.2g} mN"
 
 
+def _of_sample(maps: xr.Dataset) -> list[str]:
+    """What a result says of the sample."""
+    attrs = maps.attrs
+    if "sample_rigid" in attrs:
+        return [
+            "sample: as good as rigid, it takes next to nothing of the compression; its stiffness "
+            "cannot be told, and the stress is that of the layer on an imprint"
+        ]
+    modulus = maps["sample_youngs_modulus"].values
+    error = maps["sample_modulus_error"].values
+    lines = [
+        f"total force: 95 % band +- {attrs['force_error_mN']:.2g} mN; axial stress: "
+        f"+- {np.nanmedian(maps['axial_stress_error']):.2g} kPa (median)"
+    ]
+    if np.isfinite(modulus).any():
+        low, middle, high = np.nanpercentile(modulus, [5, 50, 95])
+        lines.append(
+            f"Young's modulus of the sample: median {middle:.3g} kPa, 90 % of the map within "
+            f"{low:.3g} ... {high:.3g} kPa, 95 % band +- {np.nanmedian(error):.0%} (median), known "
+            f"on {np.isfinite(modulus).mean():.0%} of the map"
+        )
+    lines.append(
+        f"thickness: computed and measured differ by {1e3 * attrs['thickness_misfit_mm']:.2g} um, "
+        f"{attrs['misfit_over_tolerance']:.1f} times what noise "
+        f"({1e3 * attrs['thickness_noise_mm']:.2g} um a pixel) and mesh explain, after "
+        f"{attrs['forward_solutions']} forward solutions"
+    )
+    return lines
+
+
 def summarise(result: StressResult) -> str:
     """Return forces, stress and contact of a result as readable lines.
 
@@ -110,6 +142,10 @@ def summarise(result: StressResult) -> str:
             lines.append(f"pulled by the sample: {pulled:.1%} of the map")
     if sides := edge_influence(maps.attrs):
         lines.append(f"sides of the layer: {sides}")
+    if "sample_shear_modulus" in maps:
+        lines += _of_sample(maps)
+    elif "sample_force_mN" in maps.attrs and "sample_motion_largest_mm" not in maps.attrs:
+        lines.append(SOFT_SAMPLE)
     if open_share := maps.attrs.get("no_contact_share"):
         lines.append(f"not thinner than unloaded, so taken as open: {open_share:.2%} of the map")
     change = maps.attrs.get("volume_change_percent", 0.0)

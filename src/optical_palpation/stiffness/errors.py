@@ -63,6 +63,8 @@ class Errors:
         Of the logarithm of the stiffness of the columns, (y, x).
     force
         Of the total force, mN.
+    force_of_mesh
+        Standard error of the total force by the mesh, mN.
     inputs
         For each input its standard error and how it changes force (mN) and mean stress (kPa);
         None where the change could not be computed.
@@ -72,6 +74,7 @@ class Errors:
     stress: Array
     stiffness: Array
     force: float
+    force_of_mesh: float
     inputs: dict[str, dict[str, float | None]]
 
     def stress_at(self, x: Array, y: Array) -> Array:
@@ -101,7 +104,8 @@ def propagated(
     on_stress = np.einsum("ij,jk,ik->i", of_stress, estimate.covariance, of_stress, optimize=True)
     # What the fine mesh is off by, from how far the coarse one is from it.
     on_force = float(of_force @ estimate.covariance @ of_force)
-    on_force += ((pressed.force - rough.force) / estimate.refinement) ** 2
+    by_mesh = abs(pressed.force - rough.force) / estimate.refinement
+    on_force += by_mesh**2
     differs = pressed.pressure - carried(rough.pressure, rough.slaves, pressed.slaves)
     of_mesh = gaussian_filter((differs / estimate.refinement) ** 2, _NEAR, mode="nearest")
 
@@ -140,6 +144,7 @@ def propagated(
         stress=BAND * np.sqrt(variance + of_mesh).ravel(),
         stiffness=BAND * np.sqrt(on_columns).reshape(estimate.stiffness.shape),
         force=BAND * float(np.sqrt(on_force)),
+        force_of_mesh=by_mesh,
         inputs=known,
     )
 

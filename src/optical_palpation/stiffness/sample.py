@@ -476,6 +476,7 @@ def _result(
         "sample_force_mN": interface,
         "plate_force_mN": plate,
         "force_error_mN": errors.force,
+        "force_mesh_error_mN": errors.force_of_mesh,
         "force_balance": (largest - min(window, interface, plate)) / max(largest, 1e-30),
         "no_contact_share": algebraic.attrs["no_contact_share"],
         "thickness_noise_mm": measured.noise,
