@@ -56,7 +56,7 @@ def batch(
 ) -> None:
     """Run many studies at once, here or on a Dask cluster; one table and one page of all.
 
-    Goes on where an earlier run was interrupted. Exit status 1: some scans failed; the table says
+    Continues where an earlier run was interrupted. Exit status 1: some scans failed; the table says
     which and why.
     """
     from optical_palpation.batch import read_batch, run_batch

@@ -29,7 +29,7 @@ def reproduce(
         bool, typer.Option("--quick", help="Coarsest grids: shows only that everything runs.")
     ] = False,
     again: Annotated[
-        bool, typer.Option("--again", help="Make parts anew that are there already.")
+        bool, typer.Option("--again", help="Recompute parts that are there already.")
     ] = False,
     threads: Annotated[
         int | None, typer.Option(metavar="NUMBER", help="Number of threads.", min=1)

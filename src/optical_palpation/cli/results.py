@@ -111,7 +111,7 @@ def regions(
     map: Annotated[str, typer.Option(metavar="NAME", help="Map to look at.")] = "axial_stress",
     quiet: _Quiet = False,
 ) -> None:
-    """Tell mean, extremes, force and contrast of regions of interest."""
+    """Print the mean, extremes, force and contrast of regions of interest."""
     from optical_palpation import present
     from optical_palpation.analysis import read_regions, region_statistics
     from optical_palpation.present.tables import table_in_words, write_table
@@ -150,7 +150,7 @@ def compare(
     ] = None,
     map: Annotated[str, typer.Option(metavar="NAME", help="Map to compare.")] = "axial_stress",
     register: Annotated[
-        bool, typer.Option("--register", help="Take back lateral shifts, found by the relief.")
+        bool, typer.Option("--register", help="Correct lateral shifts, found from the relief.")
     ] = False,
     quiet: _Quiet = False,
 ) -> None:

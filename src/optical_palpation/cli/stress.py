@@ -208,7 +208,7 @@ def stress(
     ] = None,
     untrusted: Annotated[
         bool,
-        typer.Option("--untrusted", help="Try HDF5 files out in a process of its own first."),
+        typer.Option("--untrusted", help="Read HDF5 files in a separate process first."),
     ] = False,
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also draw a picture (.png, .pdf).")

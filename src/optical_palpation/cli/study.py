@@ -45,7 +45,7 @@ def run(
             "--set",
             metavar="KEY=VALUE",
             help="A value instead of the file's, such as friction.window=0.2; may be repeated. The "
-            "results go to a folder of their own.",
+            "results go to a separate folder.",
             show_default=False,
         ),
     ] = None,
@@ -62,7 +62,7 @@ def run(
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
-    """Do everything that study files ask for; go on where an earlier run was interrupted."""
+    """Do everything that study files ask for; continue where an earlier run was interrupted."""
     from optical_palpation.study import describe_inputs, read_study
 
     if output is not None and len(files) > 1:

@@ -85,7 +85,7 @@ def thickness(
     method: Annotated[Method, typer.Option(help="How boundaries are found.")] = Method.SURFACE,
     untrusted: Annotated[
         bool,
-        typer.Option("--untrusted", help="Try HDF5 files out in a process of its own first."),
+        typer.Option("--untrusted", help="Read HDF5 files in a separate process first."),
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
