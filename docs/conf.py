@@ -4,10 +4,12 @@ The command line and the template of a study are written into ``_generated`` by 
 themselves before each build, the gallery by Sphinx-Gallery.
 """
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+from optical_palpation.cli import app
 from optical_palpation.runtime import software_version
 from optical_palpation.study import write_template
 
@@ -79,17 +81,28 @@ html_theme_options = {
 }
 
 
-def _generate(_app) -> None:
+def _summary(line: re.Match[str]) -> str:
+    """Return a line of the list of commands with the whole summary, which typer cuts off."""
+    for command in app.registered_commands:
+        if (about := command.callback) and about.__name__ == line[1]:
+            summary = (about.__doc__ or "").partition("\n")[0]
+            return f"* [`{line[1]}`](#optical-palpation-{line[1]}): {summary}"
+    return line[0]
+
+
+def _generate(_sphinx) -> None:
     GENERATED.mkdir(exist_ok=True)
     title = "The command line"
     command = ["-m", "typer", "optical_palpation.cli", "utils", "docs", "--title", title]
     named = ["--name", "optical-palpation", "--output", str(GENERATED / "command-line.md")]
     subprocess.run([sys.executable, *command, *named], check=True, stdout=subprocess.DEVNULL)
+    page = GENERATED / "command-line.md"
+    page.write_text(re.sub(r"^\* `(\w+)`: .*$", _summary, page.read_text(), flags=re.M))
     template = GENERATED / "study.toml"
     template.unlink(missing_ok=True)
     write_template(template)
 
 
-def setup(app) -> None:
+def setup(sphinx) -> None:
     """Write what the software says about itself before anything is read."""
-    app.connect("builder-inited", _generate, priority=1)
+    sphinx.connect("builder-inited", _generate, priority=1)
