@@ -46,7 +46,8 @@ def sweep(
         Values by table and key: ``{"friction.window": [0.1, 0.2], "material.c10": [2.0, 2.5]}``.
     workers
         Number of workers on this machine that compute points side by side (Dask, the extra
-        ``batch``). By default points are computed here, one after another.
+        ``batch``); with `folder` alone, as many as cores and memory allow. By default points are
+        computed here, one after another.
     scheduler
         Address of a running Dask scheduler (``tcp://host:8786``) or path of its scheduler file, to
         compute points on its workers; needs `folder`.
