@@ -1,0 +1,180 @@
+"""Stress and stiffness of samples that nobody tracked, against virtual experiments.
+
+python benchmarks/soft_sample.py [SCENE ...] [--element-size 0.125] [--truth 0.0833] [--flat]
+python benchmarks/soft_sample.py --random 20
+
+The truth is computed on other, finer elements, and gets 1 um of noise on each pixel; frictions,
+travel and thickness are known, the motion is not. Printed are the relative errors of the axial
+stress (root mean square, one thickness of the layer and more from its sides) by the algebraic
+method, on an imprint at rest and with the sample in the model; those of the force; how much of the
+map its 95 % band contains, with and without errors of the inputs; misfit and time. ``--flat``
+withholds the relief.
+"""
+
+import argparse
+import time
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.errors import ConvergenceError
+from optical_palpation.experiment import ExperimentResult, Scene, read_scene, run_experiment
+from optical_palpation.experiment.scene import with_element_size
+from optical_palpation.palpation import computational_stress
+from optical_palpation.stiffness import InputErrors, Sample, sample_stress
+from optical_palpation.thickness import clean_thickness, thickness_map
+
+SCENES = ("sinusoid", "soft_stiff_columns", "random_tissue", "nodule")
+NOISE = 1e-3
+KNOWN = InputErrors(0, 0, 0, 0, 0, 0)
+
+
+def random_scene(seed: int) -> Scene:
+    """A tissue with relief, a random stiffness and inclusions 0.2 to 5 times as stiff."""
+    rng = np.random.default_rng(seed)
+    below = float(rng.uniform(1.0, 2.0))
+    base = float(10 ** rng.uniform(-0.5, 0.7))
+    features: list[dict] = [
+        {"kind": "box", "factor": base},
+        {
+            "kind": "random",
+            "spread": float(rng.uniform(0.0, 0.3)) + 1e-3,
+            "correlation_length": float(rng.uniform(0.6, 1.2)),
+            "seed": seed,
+        },
+    ]
+    for _ in range(rng.integers(0, 3)):
+        features.append(
+            {
+                "kind": "ellipsoid",
+                "factor": base * float(5 ** rng.uniform(-1, 1)),
+                "centre": [*rng.uniform(0.8, 3.2, 2), float(rng.uniform(0.2, 0.5)) * below],
+                "radii": [*rng.uniform(0.4, 0.8, 2), float(rng.uniform(0.2, 0.35))],
+            }
+        )
+    relief = {
+        "kind": "random",
+        "rms": float(rng.uniform(0.005, 0.025)),
+        "correlation_length": float(rng.uniform(0.6, 1.2)),
+        "seed": seed + 1000,
+    }
+    return Scene.model_validate(
+        {
+            "title": f"random {seed}",
+            "compression": float(rng.uniform(0.12, 0.2)) * (0.5 + below / max(base, 1.0)),
+            "layer": {"size": (4.0, 4.0), "thickness": 0.5},
+            "sample": {
+                "size": (4.0, 4.0),
+                "thickness": below,
+                "relief": [relief],
+                "stiffness": features,
+            },
+            "friction": dict(
+                zip(("window", "sample", "plate"), rng.uniform(0.05, 0.4, 3), strict=True)
+            ),
+            "mesh": {"element_size": 0.1},
+        }
+    )
+
+
+def observed(truth: ExperimentResult, seed: int = 0) -> xr.DataArray:
+    """The loaded thickness with noise, as it would be read from a file."""
+    maps, layer = truth.maps, truth.scene.layer
+    values = maps["loaded_thickness"].values
+    values = values + NOISE * np.random.default_rng(seed).normal(size=values.shape)
+    return thickness_map(
+        values,
+        x=maps["x"].values,
+        y=maps["y"].values,
+        layer_extent=(0.0, layer.size[0], 0.0, layer.size[1]),
+    )
+
+
+def known(scene: Scene, flat: bool) -> Sample:
+    """What the user is supposed to know of the sample."""
+    relief = None
+    if scene.sample.relief and not flat:
+        x, y = (np.linspace(0, width, 201) for width in scene.sample.size)
+        height = sum(part.height(*np.meshgrid(x, y)) for part in scene.sample.relief)
+        relief = xr.DataArray(height, {"y": y, "x": x}, ("y", "x"))
+    return Sample(scene.sample.thickness, scene.compression, scene.friction.plate, relief)
+
+
+def error(stress: xr.DataArray, truth: ExperimentResult) -> float:
+    """Relative error of an axial stress map, root mean square over the interior."""
+    margin, (width, height) = truth.scene.layer.thickness, truth.scene.layer.size
+    inside = {"x": slice(margin, width - margin), "y": slice(margin, height - margin)}
+    true = truth.maps["axial_stress"].interp(x=stress["x"], y=stress["y"]).sel(inside)
+    return float(np.sqrt(((stress.sel(inside) - true) ** 2).mean() / (true**2).mean()))
+
+
+def covered(maps: xr.Dataset, truth: ExperimentResult) -> float:
+    """Share of the interior where the band of the axial stress contains the truth."""
+    margin, (width, height) = truth.scene.layer.thickness, truth.scene.layer.size
+    inside = {"x": slice(margin, width - margin), "y": slice(margin, height - margin)}
+    here = maps.sel(inside)
+    true = truth.maps["axial_stress"].interp(x=here["x"], y=here["y"])
+    return float((np.abs(here["axial_stress"] - true) < here["axial_stress_error"]).mean())
+
+
+def compared(scene: Scene, size: float, finer: float, flat: bool) -> dict[str, float]:
+    """Compute the truth of a scene and recover it."""
+    mesh = scene.mesh.model_copy(update={"edge_size": None})
+    scene = scene.model_copy(update={"mesh": mesh, "pixel_spacing": 0.025})
+    truth = run_experiment(with_element_size(scene, finer))
+    loaded, friction = observed(truth), scene.friction
+    options = {
+        "window_friction": friction.window,
+        "sample_friction": friction.sample,
+        "element_size": size,
+    }
+    layer = scene.layer.thickness, scene.layer.material
+    imprint = computational_stress(clean_thickness(loaded)["thickness"], *layer, **options)
+    start, used = time.perf_counter(), time.process_time()
+    maps = sample_stress(loaded, *layer, known(scene, flat), **options, input_errors=KNOWN).maps
+    row = {"time / s": time.perf_counter() - start, "cpu / s": time.process_time() - used}
+    attrs = maps.attrs
+    return {
+        "algebraic": error(maps["algebraic_axial_stress"], truth),
+        "imprint": error(imprint.maps["axial_stress"], truth),
+        "sample": error(maps["axial_stress"], truth),
+        "force": attrs["window_force_mN"] / truth.maps.attrs["window_force_mN"] - 1,
+        "in band": covered(maps, truth),
+        "misfit / um": 1e3 * attrs.get("thickness_misfit_mm", np.nan),
+        "over tolerance": attrs.get("misfit_over_tolerance", np.nan),
+        "solutions": attrs.get("forward_solutions", 0),
+        **row,
+    }
+
+
+def main() -> None:
+    """Print a line for each scene, and what the middle and the worst of them are."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenes", nargs="*")
+    parser.add_argument("--random", type=int, default=0, metavar="COUNT")
+    parser.add_argument("--element-size", type=float, default=0.125, metavar="MM")
+    parser.add_argument("--truth", type=float, default=0.0833333, metavar="MM")
+    parser.add_argument("--flat", action="store_true")
+    asked = parser.parse_args()
+    scenes = [random_scene(seed) for seed in range(asked.random)]
+    if not scenes:
+        scenes = [read_scene(name) for name in asked.scenes or SCENES]
+    rows = []
+    for scene in scenes:
+        try:
+            row = compared(scene, asked.element_size, asked.truth, asked.flat)
+        except ConvergenceError as failure:
+            print(f"{scene.title}: {failure}", flush=True)
+            continue
+        rows.append(row)
+        numbers = ", ".join(f"{name} {value:.3g}" for name, value in row.items())
+        print(f"{scene.title}: {numbers}", flush=True)
+    if len(rows) > 1:
+        for name, middle in (("median", np.median), ("worst", np.max)):
+            of = {key: middle([abs(row[key]) for row in rows]) for key in ("sample", "force")}
+            print(f"{name}: " + ", ".join(f"{key} {value:.1%}" for key, value in of.items()))
+        print(f"arrived: {len(rows)} of {len(scenes)}")
+
+
+if __name__ == "__main__":
+    main()
