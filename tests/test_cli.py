@@ -385,7 +385,10 @@ def test_installed_command_runs_and_starts_fast():
     ("options", "reason"),
     [
         (["--compression", "0.3"], "--compression: with a deformable sample --sample-thickness"),
-        (["--sample-thickness", "1"], "also needs --compression, --plate-friction"),
+        (
+            ["--sample-thickness", "1"],
+            "also needs --compression or --total-force",
+        ),
         (
             [
                 *["--sample-thickness", "1", "--compression", "0.3", "--plate-friction", "0.3"],

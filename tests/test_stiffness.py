@@ -134,6 +134,19 @@ def test_bands_contain_the_truth_and_widen_with_the_errors_of_the_inputs(columns
     assert maps.attrs["force_error_mN"] > 0
 
 
+def test_total_force_in_place_of_the_travel(columns, found):
+    """It finds the travel; given beside a travel that contradicts it, it is refused."""
+    force = columns.maps.attrs["window_force_mN"]
+    sample = known(columns, compression=None, total_force=force)
+    maps = computed(columns, sample, input_errors=InputErrors()).maps
+    attrs = maps.attrs
+    assert attrs["window_force_mN"] == pytest.approx(force, rel=0.02)
+    assert abs(attrs["compression_mm"] - 0.3) < attrs["compression_error_mm"]
+    assert error(maps, columns.maps) < 0.06
+    with pytest.raises(ConvergenceError, match="contradict each other"):
+        computed(columns, known(columns, total_force=2 * force))
+
+
 def test_nearly_rigid_sample_is_an_imprint():
     """Nothing can be said of its stiffness, and the stress is that of the layer alone."""
     relief = ({"kind": "sinusoid", "amplitude": 0.05, "wavelength": 1.5},)
@@ -168,6 +181,8 @@ def test_a_sample_that_does_not_fit_is_refused_with_its_place(columns):
         ({"compression": 0.01}, "the plate cannot have moved less"),
         ({"compression": 1.2}, "the rest is more than 70%"),
         ({"plate_friction": 3.0}, "plate_friction must lie in"),
+        ({"compression": None}, "give the compression"),
+        ({"compression": None, "total_force": -1.0}, "total force must be positive"),
     ],
 )
 def test_samples_that_cannot_be_are_refused(columns, changed, match):
@@ -282,13 +297,18 @@ def test_sensitivity_agrees_with_solutions_from_scratch():
     change[2:4, 1:3] = 1.0
     pressed = model.pressed(middle)
     told = pressed.sensitivity(surface)
-    expected = told.thickness @ model.means @ change.ravel()
+    direction = np.append(model.means @ change.ravel(), 0.0)
+    expected = told.thickness @ direction
     up, down = (model.pressed(sign * 0.05 * change) for sign in (1, -1))
     actual = (up.misfit(surface) - down.misfit(surface)).ravel() / 0.1
     assert np.linalg.norm(actual - expected) < 0.1 * np.linalg.norm(actual)
-    force = float(told.force @ model.means @ change.ravel())
+    force = float(told.force @ direction)
     assert force == pytest.approx((up.force - down.force) / 0.1, rel=0.1)
     assert told.pressure.shape[0] == pressed.state.forces[INTERFACE].size
+    up, down = (model.pressed(middle, travel=0.15 + sign * 0.005) for sign in (1, -1))
+    actual = (up.misfit(surface) - down.misfit(surface)).ravel() / 0.01
+    assert np.linalg.norm(actual - told.thickness[:, -1]) < 0.1 * np.linalg.norm(actual)
+    assert told.force[-1] == pytest.approx((up.force - down.force) / 0.01, rel=0.1)
 
 
 def _blocks(of):

@@ -134,6 +134,13 @@ def stress(
             help="Travel of the plate below the sample after layer and sample have met, mm.",
         ),
     ] = None,
+    total_force: Annotated[
+        float | None,
+        typer.Option(
+            metavar="NUMBER",
+            help="Total force on the window, mN, in place of --compression or as a check of it.",
+        ),
+    ] = None,
     plate_friction: Annotated[
         float | None,
         typer.Option(metavar="NUMBER", help="Friction coefficient between sample and plate."),
@@ -248,6 +255,7 @@ def stress(
     }
     about_sample = {
         "--compression": compression,
+        "--total-force": total_force,
         "--plate-friction": plate_friction,
         "--sample-relief": sample_relief,
         "--sample-size": sample_size,
@@ -260,7 +268,10 @@ def stress(
             )
     else:
         _check_sample_options(
-            {name: about_sample[name] for name in ("--compression", "--plate-friction")},
+            {
+                "--compression or --total-force": compression or total_force,
+                "--plate-friction": plate_friction,
+            },
             {
                 "--method algebraic": method is Method.ALGEBRAIC,
                 "--sample-motion": sample_motion is not None,
@@ -340,8 +351,7 @@ def stress(
 
         if not isinstance(sizes, float):
             raise typer.BadParameter("--element-size: one number with a deformable sample")
-        assert compression is not None  # refused above
-        assert plate_friction is not None
+        assert plate_friction is not None  # refused above
         relief = None if sample_relief is None else thickness.read_height_map(sample_relief)
         law_of_sample = material if sample_law is SampleLaw.LAYER else None
         with ProgressDisplay(quiet) as progress:
@@ -356,6 +366,7 @@ def stress(
                     relief,
                     sample_size,
                     law_of_sample,
+                    total_force,
                 ),
                 window_friction=holds["window"],
                 sample_friction=holds["sample"],

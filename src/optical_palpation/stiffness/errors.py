@@ -44,6 +44,7 @@ class InputErrors:
     window_friction: float = 0.05
     sample_friction: float = 0.05
     plate_friction: float = 0.05
+    total_force: float = 0.02
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -61,6 +62,8 @@ class Errors:
         Points (n, 2), y before x, mm, and the band of the axial stress there, kPa.
     stiffness
         Of the logarithm of the stiffness of the columns, (y, x).
+    travel
+        Of the travel of the plate, mm, where it is sought.
     force
         Of the total force, mN.
     force_of_mesh
@@ -73,6 +76,7 @@ class Errors:
     positions: Array
     stress: Array
     stiffness: Array
+    travel: float | None
     force: float
     force_of_mesh: float
     inputs: dict[str, dict[str, float | None]]
@@ -97,9 +101,9 @@ def propagated(
     ``report`` is called with the stage and the share of the load.
     """
     pressed, sensitivity = estimate.pressed, estimate.sensitivity
-    rough = coarse.pressed(estimate.stiffness, partial(_at_stage, report, "errors"))
-    of_stress = sensitivity.pressure @ coarse.means
-    of_force = sensitivity.force @ coarse.means
+    stiffness, travel = estimate.stiffness, estimate.travel
+    rough = coarse.pressed(stiffness, partial(_at_stage, report, "errors"), travel)
+    of_stress, of_force = sensitivity.pressure, sensitivity.force
     on_columns = np.diag(estimate.covariance).copy()
     on_stress = np.einsum("ij,jk,ik->i", of_stress, estimate.covariance, of_stress, optimize=True)
     # What the fine mesh is off by, from how far the coarse one is from it.
@@ -111,22 +115,36 @@ def propagated(
 
     known: dict[str, dict[str, float | None]] = {}
     nominal = rough.misfit(measured)
+    of_travel = len(on_columns) > stiffness.size  # it is sought, and the force given instead
     for name, error in vars(inputs).items():
-        if error == 0:
+        if error == 0 or name == ("compression" if of_travel else "total_force"):
             continue
-        if name == "layer_modulus":  # layer and sample stiffer by the same factor deform alike
+        if name == "layer_modulus" and not of_travel:
+            # Layer and sample stiffer by the same factor deform alike.
             answer = np.full(on_columns.shape, error)
             stress, force = error * rough.pressure.ravel(), error * rough.force
+        elif name in ("total_force", "layer_modulus"):
+            # A layer that is stiffer is one on which the force is smaller, in units of its modulus.
+            sign = 1.0 if name == "total_force" else -1.0
+            answer = sign * error * rough.force * estimate.gain_by_force
+            stress, force = of_stress @ answer, float(of_force @ answer)
+            if name == "layer_modulus":
+                answer[: stiffness.size] += error
+                stress, force = stress + error * rough.pressure.ravel(), force + error * rough.force
         else:
             stage = f"error of the {name.replace('_', ' ')}"
+            changed = _changed(coarse.blocks, name, error)
+            moved = (1 + error) * travel if name == "compression" else travel
             try:
-                model = coarse.changed(**_changed(coarse.blocks, name, error))
-                other = model.pressed(estimate.stiffness, partial(_at_stage, report, stage))
+                other = coarse.changed(**changed).pressed(
+                    stiffness, partial(_at_stage, report, stage), moved
+                )
             except LoadNotReached:
                 known[name] = {"standard_error": error, "force_mN": None, "mean_stress_kPa": None}
                 continue
             change = carried(other.misfit(measured) - nominal, coarse.layer, pressed.layer)
             answer = -estimate.gain @ change.ravel()
+            answer -= estimate.gain_by_force * (other.force - rough.force)
             stress = (other.pressure - rough.pressure).ravel() + of_stress @ answer
             force = other.force - rough.force + float(of_force @ answer)
         on_columns += answer**2
@@ -142,7 +160,8 @@ def propagated(
     return Errors(
         positions=pressed.stack.position(pressed.state.u)[nodes][:, [1, 0]],
         stress=BAND * np.sqrt(variance + of_mesh).ravel(),
-        stiffness=BAND * np.sqrt(on_columns).reshape(estimate.stiffness.shape),
+        stiffness=BAND * np.sqrt(on_columns[: stiffness.size]).reshape(stiffness.shape),
+        travel=BAND * float(np.sqrt(on_columns[-1])) if of_travel else None,
         force=BAND * float(np.sqrt(on_force)),
         force_of_mesh=by_mesh,
         inputs=known,
@@ -156,9 +175,9 @@ def _at_stage(
 
 
 def _changed(blocks: Blocks, name: str, error: float) -> dict[str, Any]:
-    """One input of the blocks, off by its standard error."""
+    """The input of the blocks that is off by its standard error; the travel is none of these."""
     if name == "compression":
-        return {"travel": (1 + error) * blocks.travel}
+        return {}
     if name == "sample_thickness":
         return {name: (1 + error) * blocks.sample_thickness}
     place = ("window_friction", "sample_friction", "plate_friction").index(name)

@@ -113,25 +113,31 @@ class Model:
         return Model(replace(self.blocks, **inputs), self.mesh, self.columns)
 
     def pressed(
-        self, stiffness: Array, report: Callable[[Stack, float, object], None] | None = None
+        self,
+        stiffness: Array,
+        report: Callable[[Stack, float, object], None] | None = None,
+        travel: float | None = None,
     ) -> Pressed:
         """Press a sample of the logarithmic ``stiffness`` factors (y, x) of its columns.
+
+        ``travel`` of the plate, mm, by default that of the blocks.
 
         Raises
         ------
         LoadNotReached
         """
         levels = [
-            _of_stiffness(level, by_y @ stiffness @ by_x.T)
+            _of_stiffness(level, by_y @ stiffness @ by_x.T, travel or self.blocks.travel)
             for level, (by_y, by_x) in zip(self.levels, self._means, strict=True)
         ]
         return Pressed(levels[-1], solve(levels, report).state)
 
 
-def _of_stiffness(stack: Stack, logarithm: Array) -> Stack:
+def _of_stiffness(stack: Stack, logarithm: Array, travel: float) -> Stack:
     layer, sample = stack.bodies
     factor = np.broadcast_to(np.exp(logarithm), sample.grid.shape).copy()
-    return replace(stack, bodies=(layer, replace(sample, stiffness=factor)))
+    bodies = layer, replace(sample, stiffness=factor)
+    return replace(stack, bodies=bodies, compression=travel)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,13 +187,14 @@ class Pressed:
         return (z - window - measured(x, y)).reshape(position.shape[2:])
 
     def sensitivity(self, measured: ThicknessSurface) -> Sensitivity:
-        """Return what changes with the stiffness of the columns of elements."""
+        """Return what changes with the stiffness of the columns of elements and the travel."""
         stack, (ny, nx) = self.stack, self.stack.bodies[SAMPLE].grid.shape[1:]
         sample, first = stack.bodies[SAMPLE], stack.bodies[LAYER].n_nodes
         tangent = Tangent(stack, self.state)
         forces = stiffness_forces(sample, stack.split(self.state.u)[SAMPLE], self.state.p[SAMPLE])
         number = first + np.arange(sample.n_nodes).reshape(sample.grid.node_shape)
-        rhs = np.zeros((3 * stack.n_nodes, ny * nx))
+        rhs = np.zeros((3 * stack.n_nodes, ny * nx + 1))
+        rhs[:, -1] = -tangent.by_travel()
         for b in range(2):
             for a in range(2):
                 nodes = number[:, b : ny + b, a : nx + a].reshape(-1, ny * nx)
@@ -210,8 +217,9 @@ class Pressed:
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Derivatives by the logarithms of the stiffness of the columns of elements (last axis).
+    """Derivatives by the logarithms of the stiffness of the columns of elements and the travel.
 
+    They are on the last axis, the travel, mm, at its end.
     ``thickness`` of ``Pressed.misfit``, mm, ``pressure`` of the slaves, kPa, and ``force`` on the
     window, mN. Friction is taken from the slip since the last load step.
     """
@@ -219,3 +227,9 @@ class Sensitivity:
     thickness: Array
     pressure: Array
     force: Array
+
+    def of(self, parameters: Array) -> Sensitivity:
+        """By other parameters, of which these are the matrix ``parameters`` times."""
+        return Sensitivity(
+            self.thickness @ parameters, self.pressure @ parameters, self.force @ parameters
+        )

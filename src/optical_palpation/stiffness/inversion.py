@@ -40,6 +40,10 @@ _COARSE_STEPS, _FINE_STEPS = 3, 4
 _COARSE_ERROR = 0.02
 #: Largest change of a logarithm in a step.
 _LARGEST = 1.0
+#: Largest change of the travel in a step, as a share of it.
+_FARTHEST = 0.2
+#: Tolerance of a given total force.
+_FORCE = 0.01
 #: A step counts as none if stiffness changes by less than this (root mean square).
 _STILL = 0.01
 #: Slope of the logarithm over one thickness of the layer from which stiffness has an edge.
@@ -56,20 +60,25 @@ _NEAR_LEAST = 1.1
 class Estimate:
     """What the thickness says of the sample.
 
+    What is sought are the stiffness of the columns and, where the total force is given instead of
+    it, the travel of the plate.
+
     Attributes
     ----------
     stiffness
         Logarithms of the stiffness factors of the columns, (y, x).
+    travel
+        Of the plate, mm.
     pressed
         Layer and sample of that stiffness on the finest mesh.
     misfit, tolerance
         Computed less measured thickness at the layer's nodes, and what it may be off by, mm.
-    gain
-        Matrix (columns, coarse nodes) by which stiffness answers to the thickness.
+    gain, gain_by_force
+        How what is sought answers to the thickness, (sought, nodes), and to the force, (sought).
     covariance
-        Of the stiffness by noise and mesh error, (columns, columns).
+        Of what is sought, by noise and mesh error, (sought, sought).
     sensitivity
-        On the coarse mesh, by the columns.
+        On the coarse mesh, by what is sought.
     refinement
         By this share of their difference the fine mesh is nearer to the truth than the coarse one.
     alpha
@@ -79,10 +88,12 @@ class Estimate:
     """
 
     stiffness: Array
+    travel: float
     pressed: Pressed
     misfit: Array
     tolerance: Array
     gain: Array
+    gain_by_force: Array
     covariance: Array
     sensitivity: Sensitivity
     refinement: float
@@ -97,6 +108,7 @@ def invert(
     start: Array,
     *,
     noise: float,
+    total_force: float | None = None,
     smoothing: float | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Estimate:
@@ -112,6 +124,8 @@ def invert(
         Logarithms of stiffness factors to begin with, (y, x).
     noise
         Standard deviation of the measured surface at a node, mm.
+    total_force
+        On the window, mN. If it is given the travel of the plate is sought too.
     smoothing
         Alpha; by default that of the discrepancy principle.
     progress
@@ -122,9 +136,26 @@ def invert(
     LoadNotReached
         If even the start cannot be pressed.
     """
-    search = _Search(fine, coarse, measured, noise, smoothing, progress)
-    stiffness = search.on_coarse_mesh(start)
-    return search.on_fine_mesh(stiffness)
+    search = _Search(fine, coarse, measured, noise, total_force, smoothing, progress)
+    sought = start.ravel()
+    if total_force is not None:
+        sought = np.append(sought, coarse.blocks.travel)
+    return search.on_fine_mesh(search.on_coarse_mesh(sought))
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """A linearised problem of least squares.
+
+    ``jacobian`` (nodes, sought) of the misfit, ``weight`` of the nodes; ``by_force`` is the
+    derivative of the total force and ``off`` what that is off by, both over its tolerance.
+    """
+
+    jacobian: Array
+    misfit: Array
+    weight: Array
+    by_force: Array
+    off: float
 
 
 class _Search:
@@ -136,23 +167,37 @@ class _Search:
         coarse: Model,
         measured: ThicknessSurface,
         noise: float,
+        total_force: float | None,
         smoothing: float | None,
         progress: Callable[[str, float], None] | None,
     ) -> None:
         self.fine, self.coarse, self.measured = fine, coarse, measured
-        self.noise, self.smoothing, self.progress = noise, smoothing, progress
+        self.noise, self.force = noise, total_force
+        self.smoothing, self.progress = smoothing, progress
         self.solutions: list[tuple[int, float]] = []
+        #: Brings what is sought to the columns of elements of the coarse mesh and the travel.
+        unknown = int(total_force is not None)
+        self.expand = np.zeros((coarse.means.shape[0] + 1, coarse.means.shape[1] + unknown))
+        self.expand[:-1, : coarse.means.shape[1]] = coarse.means
+        self.expand[-1, -1] = unknown
         #: Brings values at the layer's nodes from the coarse mesh to the fine one.
         self.carry = carrying(coarse.layer, fine.layer)
         #: The fine mesh is off by the difference of the two over this.
         self.refinement = (coarse.layer.spacing[2] / fine.layer.spacing[2]) ** 2 - 1
         self.thickness = float(np.median(fine.layer.thickness))
 
-    def on_coarse_mesh(self, stiffness: Array) -> Array:
+    def split(self, sought: Array) -> tuple[Array, float]:
+        """Return stiffness (y, x) and travel."""
+        columns = self.fine.columns
+        count = columns.shape[0] * columns.shape[1]
+        travel = self.fine.blocks.travel if self.force is None else float(sought[-1])
+        return sought[:count].reshape(columns.shape), travel
+
+    def on_coarse_mesh(self, sought: Array) -> Array:
         """Steps on the coarse mesh, down to about the errors of that."""
         before = step = None
         for n in range(_COARSE_STEPS):
-            pressed, stiffness = self._pressed(self.coarse, before, step, stiffness)
+            pressed, sought = self._pressed(self.coarse, before, step, sought)
             misfit = pressed.misfit(self.measured)
             indentation = self.coarse.layer.thickness - pressed.surface[2]
             error = _COARSE_ERROR * float(np.sqrt(np.mean(indentation**2)))
@@ -162,54 +207,63 @@ class _Search:
             self.solutions.append((pressed.stack.n_elements, left))
             if n > 0 and left <= 1.0:
                 break
-            jacobian = pressed.sensitivity(self.measured).thickness @ self.coarse.means
-            step, _, _ = self._step(jacobian, misfit, weight, stiffness)
-            before, stiffness = stiffness, stiffness + step
-        return stiffness
+            sensitivity = pressed.sensitivity(self.measured).of(self.expand)
+            system = self._system(sensitivity.thickness, sensitivity, misfit, weight, pressed)
+            step, _, _ = self._step(system, sought)
+            before, sought = sought, sought + step
+        return sought
 
-    def on_fine_mesh(self, stiffness: Array) -> Estimate:
+    def on_fine_mesh(self, sought: Array) -> Estimate:
         """Steps for the misfit of the fine mesh, with the sensitivity of the coarse one.
 
-        Both meshes are solved for the first two steps. After that the stiffness changes too little
-        to change the sensitivity, or the error of the mesh.
+        The coarse mesh is solved once more at the start: after that the stiffness changes too
+        little to change the sensitivity, or the error of the mesh.
         """
         before = step = None
         best: tuple[float, Array, Pressed, Array] | None = None
-        for n in range(_FINE_STEPS + 1):
-            pressed, stiffness = self._pressed(self.fine, before, step, stiffness)
+        stiffness, travel = self.split(sought)
+        rough = self.coarse.pressed(stiffness, travel=travel)
+        self.solutions.append((rough.stack.n_elements, np.nan))
+        sensitivity = rough.sensitivity(self.measured).of(self.expand)
+        jacobian = self.carry @ sensitivity.thickness
+        tolerance: Array | None = None
+        for _ in range(_FINE_STEPS + 1):
+            pressed, sought = self._pressed(self.fine, before, step, sought)
             misfit = pressed.misfit(self.measured)
-            if n < 2:
-                rough = self.coarse.pressed(stiffness)
+            if tolerance is None:
                 tolerance = self._tolerance(misfit, rough.misfit(self.measured))
-                self.solutions.append((rough.stack.n_elements, np.nan))
-                best = None  # of another tolerance
             weight = self._weight(pressed, tolerance)
             left = _rms(weight * misfit)
             self.solutions.append((pressed.stack.n_elements, left))
             if best is not None and left > _NO_GAIN * best[0]:
                 break
-            best = left, stiffness, pressed, misfit
-            if left <= 1.0 and n > 0:
+            best = left, sought, pressed, misfit
+            system = self._system(jacobian, sensitivity, misfit, weight, pressed)
+            if left <= 1.0 and abs(system.off) <= 1.0:
                 break
-            if n < 2:
-                sensitivity = rough.sensitivity(self.measured)
-                jacobian = self.carry @ sensitivity.thickness @ self.coarse.means
-            step, alpha, _ = self._step(jacobian, misfit, weight, stiffness)
+            step, _, _ = self._step(system, sought)
             if _rms(step) < _STILL:
                 break
-            before, stiffness = stiffness, stiffness + step
+            before, sought = sought, sought + step
         assert best is not None
-        _, stiffness, pressed, misfit = best
+        assert tolerance is not None
+        _, sought, pressed, misfit = best
         weight = self._weight(pressed, tolerance)
-        _, alpha, normal = self._step(jacobian, misfit, weight, stiffness)
+        system = self._system(jacobian, sensitivity, misfit, weight, pressed)
+        _, alpha, normal = self._step(system, sought)
         covariance = np.asarray(np.linalg.inv(normal), dtype=float)
-        gain = covariance @ (jacobian * weight.reshape(-1, 1) ** 2).T
+        stiffness, travel = self.split(sought)
+        by_force = np.zeros(len(sought))
+        if self.force is not None:
+            by_force = covariance @ system.by_force / (_FORCE * self.force)
         return Estimate(
             stiffness=stiffness,
+            travel=travel,
             pressed=pressed,
             misfit=misfit,
             tolerance=tolerance,
-            gain=gain,
+            gain=covariance @ (jacobian * weight.reshape(-1, 1) ** 2).T,
+            gain_by_force=by_force,
             covariance=covariance,
             sensitivity=sensitivity,
             refinement=self.refinement,
@@ -218,7 +272,7 @@ class _Search:
         )
 
     def _pressed(
-        self, model: Model, before: Array | None, step: Array | None, stiffness: Array
+        self, model: Model, before: Array | None, step: Array | None, sought: Array
     ) -> tuple[Pressed, Array]:
         """Press, or where that fails, press after half of the last step."""
         elements = model.levels[-1].n_elements
@@ -228,15 +282,16 @@ class _Search:
                 count = len(self.solutions) + 1
                 self.progress(f"solution {count}, {elements:,} elements", load)
 
-        for _ in range(3):
+        for attempt in range(4):
+            stiffness, travel = self.split(sought)
             try:
-                return model.pressed(stiffness, report), stiffness
+                return model.pressed(stiffness, report, travel), sought
             except LoadNotReached:
-                if before is None or step is None:
+                if before is None or step is None or attempt == 3:
                     raise
                 step = 0.5 * step
-                stiffness = before + step
-        return model.pressed(stiffness, report), stiffness
+                sought = before + step
+        raise AssertionError
 
     def _tolerance(self, misfit: Array, rough: Array) -> Array:
         """What the misfit may be: noise, and the error of the mesh, from the coarse one's."""
@@ -248,18 +303,35 @@ class _Search:
         x, y, _ = pressed.surface.reshape(3, -1)
         return self.measured.covers(x, y).reshape(tolerance.shape) / tolerance
 
-    def _step(
-        self, jacobian: Array, misfit: Array, weight: Array, stiffness: Array
-    ) -> tuple[Array, float, Array]:
+    def _system(
+        self,
+        jacobian: Array,
+        sensitivity: Sensitivity,
+        misfit: Array,
+        weight: Array,
+        pressed: Pressed,
+    ) -> _System:
+        if self.force is None:
+            return _System(jacobian, misfit, weight, np.zeros(jacobian.shape[1]), 0.0)
+        tolerance = _FORCE * self.force
+        off = (pressed.force - self.force) / tolerance
+        return _System(jacobian, misfit, weight, sensitivity.force / tolerance, off)
+
+    def _step(self, system: _System, sought: Array) -> tuple[Array, float, Array]:
         """Return the step, alpha and the matrix of the normal equations."""
-        columns = self.fine.columns
-        smooth = _roughness(columns, stiffness, self.thickness)
-        weighted = weight.reshape(-1, 1) * jacobian
-        left = (weight * misfit).ravel()
-        normal, rhs = weighted.T @ weighted, -weighted.T @ left
-        unit = np.trace(normal) / np.trace(smooth)
-        uneven = smooth @ stiffness.ravel()
-        hold = 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal))
+        stiffness, travel = self.split(sought)
+        smooth = np.zeros((len(sought), len(sought)))
+        smooth[: stiffness.size, : stiffness.size] = _roughness(
+            self.fine.columns, stiffness, self.thickness
+        )
+        weighted = system.weight.reshape(-1, 1) * system.jacobian
+        left = (system.weight * system.misfit).ravel()
+        normal = weighted.T @ weighted + np.outer(system.by_force, system.by_force)
+        rhs = -weighted.T @ left - system.by_force * system.off
+        of_columns = np.trace(normal[: stiffness.size, : stiffness.size])
+        unit = of_columns / np.trace(smooth)
+        uneven = smooth @ sought
+        hold = 1e-9 * of_columns / stiffness.size * np.eye(len(normal))
 
         def solved(alpha: float) -> tuple[Array, float, Array]:
             matrix = normal + alpha * unit * smooth + hold
@@ -276,8 +348,9 @@ class _Search:
                 step, remaining, matrix = solved(alpha)
                 if remaining <= target:
                     break
-        step = np.clip(step, -_LARGEST, _LARGEST).reshape(stiffness.shape)
-        return step, float(alpha), matrix
+        largest = np.full(len(sought), _LARGEST)
+        largest[stiffness.size :] = _FARTHEST * travel
+        return np.clip(step, -largest, largest), float(alpha), matrix
 
 
 def _rms(values: Array) -> float:

@@ -51,6 +51,10 @@ _UNKNOWN = 0.5
 #: Share of the travel that a sample must take, or it is as good as rigid: nobody knows the travel
 #: much better.
 _RIGID = 0.03
+#: Share of the sample's thickness that the travel has more than the layer takes, to begin with.
+_GUESS = 0.15
+#: Error of a total force that is only checked.
+_FORCE_READING = 0.05
 #: Share of the sample's thickness by which it can be compressed at most.
 _MOST_COMPRESSED = 0.7
 
@@ -76,7 +80,7 @@ class Sample:
     thickness
         Unloaded, mm; that below a relief of 0.
     compression
-        Travel of the plate after layer and sample have met, mm.
+        Travel of the plate after layer and sample have met, mm; ``None`` if the force is given.
     plate_friction
         Coulomb coefficient between sample and plate.
     relief
@@ -86,14 +90,18 @@ class Sample:
     law
         Its law; only how stress grows with strain counts, the stiffness is what is sought. By
         default neo-Hookean and incompressible.
+    total_force
+        On the window, mN. In place of the travel of the plate, which is then found too, or beside
+        it, as a check.
     """
 
     thickness: float
-    compression: float
+    compression: float | None
     plate_friction: float
     relief: xr.DataArray | None = None
     size: tuple[float, float] | None = None
     law: Law | None = None
+    total_force: float | None = None
 
 
 def sample_stress(
@@ -172,7 +180,7 @@ def sample_stress(
         sample_law=law,
         relief=(lambda x, _: np.zeros_like(x)) if sample.relief is None else _field(sample.relief),
         friction=(window_friction, sample_friction, sample.plate_friction),
-        travel=sample.compression,
+        travel=sample.compression or 0.0,
     )
     columns = _columns(blocks, element_size)
     if progress:
@@ -181,7 +189,12 @@ def sample_stress(
     if noise is not None:
         measured = replace(measured, noise=noise)
     springs = _springs(measured, blocks, columns)
-    if springs.shorter < _RIGID * sample.compression:
+    if sample.compression is None:
+        # to begin with; the force decides
+        travel = springs.indentation + _GUESS * sample.thickness
+        blocks = replace(blocks, travel=travel)
+        springs = _springs(measured, blocks, columns)
+    elif springs.shorter < _RIGID * sample.compression:
         friction = window_friction, sample_friction
         return _as_imprint(
             loaded, initial, material, sample, size, friction, element_size, threads, progress
@@ -204,6 +217,7 @@ def sample_stress(
                 measured,
                 np.full(columns.shape, start),
                 noise=measured.noise / np.sqrt(measured.pixels),
+                total_force=sample.total_force if sample.compression is None else None,
                 smoothing=smoothing,
                 progress=report,
             )
@@ -212,9 +226,10 @@ def sample_stress(
     except LoadNotReached as failure:
         raise ConvergenceError(
             f"layer and sample were compressed to {100 * failure.load:.1f} % of "
-            f"{sample.compression:g} mm only: {failure.reason}. Check the compression and the "
+            f"{blocks.travel:.3g} mm only: {failure.reason}. Check the compression and the "
             "thickness of the sample, or try another element_size"
         ) from None
+    _check_force(sample, estimate, errors)
     return _result(
         estimate, errors, loaded, initial, material, sample, blocks, columns, measured, element_size
     )
@@ -227,14 +242,27 @@ def check_sample(sample: Sample, loaded: xr.DataArray, initial: xr.DataArray) ->
     ------
     InputError
     """
-    for name in ("thickness", "compression", "plate_friction"):
+    if sample.compression is None and sample.total_force is None:
+        raise InputError(
+            "sample: give the compression (the travel of the plate, mm) or the total force (mN)"
+        )
+    for name in ("thickness", "compression", "plate_friction", "total_force"):
         value = getattr(sample, name)
+        if value is None and name in ("compression", "total_force"):
+            continue
         if not (isinstance(value, int | float | np.number) and np.isfinite(value)):
             raise InputError(f"sample: {name} must be a number, not {value!r}")
     if sample.thickness <= 0:
         raise InputError(f"sample: the thickness must be positive, not {sample.thickness:g} mm")
     if not 0 <= sample.plate_friction <= 2:
         raise InputError(f"sample: plate_friction must lie in 0 ... 2, not {sample.plate_friction}")
+    if sample.total_force is not None and sample.total_force <= 0:
+        raise InputError(f"sample: the total force must be positive, not {sample.total_force:g} mN")
+    inside = inside_layer(loaded)
+    if not bool((initial - loaded).where(inside).max() > 0):
+        raise InputError("the sample does not touch the layer: it is nowhere thinner than unloaded")
+    if sample.compression is None:
+        return
     if sample.compression <= 0:
         raise InputError(
             f"sample: the compression, {sample.compression:g} mm, must be positive: it is how far "
@@ -246,10 +274,6 @@ def check_sample(sample: Sample, loaded: xr.DataArray, initial: xr.DataArray) ->
             f"sample: the compression, {sample.compression:g} mm, is more than layer and sample "
             f"together are thick, {together:g} mm; lengths are in mm"
         )
-    inside = inside_layer(loaded)
-    indented = float(np.nanmax(np.where(inside, initial - loaded, np.nan)))
-    if indented <= 0:
-        raise InputError("the sample does not touch the layer: it is nowhere thinner than unloaded")
     typical = float(np.nanmedian(np.where(inside, initial - loaded, np.nan)))
     if sample.relief is None and typical > sample.compression:
         raise InputError(
@@ -303,9 +327,11 @@ def _models(blocks: Blocks, mesh: Mesh, columns: Columns, thickness: float) -> t
 class _Springs:
     """Layer and sample as if their columns were springs: medians over the layer.
 
-    ``stress``, kPa, and how much ``shorter`` the sample's columns are, mm and as a ``strain``.
+    ``stress``, kPa, how much ``shorter`` the sample's columns are, mm and as a ``strain``, and the
+    travel, mm, that the layer takes, ``indentation``.
     """
 
+    indentation: float
     stress: float
     shorter: float
     strain: float
@@ -325,7 +351,8 @@ def _springs(measured: ThicknessSurface, blocks: Blocks, columns: Columns) -> _S
     shorter = (blocks.travel - apart - unloaded * (1 - stretch))[touching]
     strain = shorter / (blocks.sample_thickness + height[touching])
     stress = (blocks.law.strain_adjusted_modulus(stretch - 1) * (1 - stretch))[touching]
-    return _Springs(*(float(np.median(values)) for values in (stress, shorter, strain)))
+    taken = blocks.travel - shorter
+    return _Springs(*(float(np.median(values)) for values in (taken, stress, shorter, strain)))
 
 
 def _as_imprint(
@@ -354,7 +381,8 @@ def _as_imprint(
     for name, (units, text) in SAMPLE_MAPS.items():
         values = still if name.startswith("sample_displacement") else np.nan * still
         result.maps[name] = values.assign_attrs(units=units, long_name=text)
-    result.maps.attrs |= _sample_attributes(sample, size) | {"sample_rigid": "yes"}
+    result.maps.attrs |= _sample_attributes(sample, size)
+    result.maps.attrs |= {"compression_mm": sample.compression, "sample_rigid": "yes"}
     return result
 
 
@@ -364,8 +392,27 @@ def _sample_attributes(sample: Sample, size: tuple[float, float]) -> dict[str, A
         "sample_thickness_mm": float(sample.thickness),
         "sample_size_mm": [float(width) for width in size],
         "sample_relief": "flat" if sample.relief is None else "given",
-        "compression_mm": float(sample.compression),
     }
+
+
+def _check_force(sample: Sample, estimate: Estimate, errors: Errors) -> None:
+    """Refuse a total force that the travel of the plate contradicts.
+
+    Raises
+    ------
+    ConvergenceError
+    """
+    force = sample.total_force
+    if (
+        force is None
+        or abs(estimate.pressed.force - force) <= errors.force + _FORCE_READING * force
+    ):
+        return
+    raise ConvergenceError(
+        f"sample: compression and total force contradict each other: with a travel of "
+        f"{estimate.travel:.3g} mm the force would be {estimate.pressed.force:.4g} +- "
+        f"{errors.force:.2g} mN, not {force:g} mN. Give the one that is known better"
+    )
 
 
 def _check_fit(estimate: Estimate) -> None:
@@ -434,7 +481,8 @@ def _result(
 
     moved = [maps[f"sample_displacement_{axis}"].values for axis in "xy"]
     of_column = [points - shift for points, shift in zip(there, moved, strict=True)]
-    unknown = np.sqrt(np.diag(estimate.covariance)).reshape(columns.shape) > _UNKNOWN
+    spread = np.sqrt(np.diag(estimate.covariance)[: estimate.stiffness.size])
+    unknown = spread.reshape(columns.shape) > _UNKNOWN
     known = columns.at(np.where(unknown, np.nan, 0.0), *of_column) == 0.0
     known &= (maps["contact_state"].values > 0) & np.isfinite(computed)
     modulus = blocks.sample_law.shear_modulus * np.exp(columns.at(estimate.stiffness, *of_column))
@@ -468,6 +516,8 @@ def _result(
         "sample_friction": blocks.friction[1],
         "initial_thickness_mm": float(initial.where(inside_layer(loaded)).mean()),
         **_sample_attributes(sample, blocks.sample_size),
+        "compression_mm": estimate.travel,
+        **({} if errors.travel is None else {"compression_error_mm": errors.travel}),
         "sample_law": json.dumps(blocks.sample_law.attributes),
         "element_size_mm": list(stack.bodies[LAYER].grid.spacing[::-1]),
         "elements": stack.n_elements,

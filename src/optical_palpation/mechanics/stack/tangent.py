@@ -16,7 +16,7 @@ from ..elements import GRADIENTS, internal_force
 from ..factors import Factors
 from .contact import ContactTerms
 from .newton import balance
-from .problem import INTERFACE, Stack, State
+from .problem import INTERFACE, PLATE, Stack, State
 
 Array = NDArray[np.float64]
 
@@ -43,10 +43,17 @@ class Tangent:
         matrix = sp.csr_matrix(sp.block_diag(blocks)) + _sides(stack, position)
         #: Force of each contact's slaves by displacement, (slaves, 3 n_nodes), mN / mm.
         self.contact_forces: list[sp.csr_matrix] = []
+        #: Force of each contact by penetration, (slaves), mN / mm, and what it puts on the nodes.
+        self.springs: list[Array] = []
+        self.rows: list[sp.csr_matrix] = []
         for n, term in enumerate(now.terms):
-            forces = _normal_forces(term, stack.scales[n], stack.n_nodes)
+            spring = _springs(term, stack.scales[n])
+            rows = _matrix(term.rows, term, stack.n_nodes)
+            forces = sp.csr_matrix(sp.diags_array(spring) @ _penetration(term, stack.n_nodes))
+            self.springs.append(spring)
+            self.rows.append(rows)
             self.contact_forces.append(forces)
-            matrix = matrix + _matrix(term.rows, term, stack.n_nodes).T @ forces
+            matrix = matrix + rows.T @ forces
             matrix = matrix + _friction(term, stack.n_nodes)
         matrix = matrix + _interface(stack, now.terms[INTERFACE], position)
         hold = _HOLD * stack.shear_modulus * stack.bodies[0].grid.spacing[2]
@@ -54,6 +61,10 @@ class Tangent:
         lateral = [body.nodes[:2].reshape(2, -1).T for body in stack.bodies]
         self.matrix = sp.csr_matrix(matrix)
         self._factors = Factors(self.matrix, np.concatenate(lateral))
+
+    def by_travel(self) -> Array:
+        """Derivative of the nodal forces out of balance by the travel of the plate, (3 n_nodes)."""
+        return self.rows[PLATE].T @ self.springs[PLATE]
 
     def displacement(self, force: Array) -> Array:
         """Displacements (3 n_nodes, m), mm, that balance nodal forces (3 n_nodes, m), mN."""
@@ -86,14 +97,16 @@ def _matrix(values: Array, term: ContactTerms, n_nodes: int) -> sp.csr_matrix:
     return sp.csr_matrix((values.ravel(), (rows, columns)), shape=(n, 3 * n_nodes))
 
 
-def _normal_forces(term: ContactTerms, scale: Array, n_nodes: int) -> sp.csr_matrix:
-    """Changes of the vertical contact forces by displacements."""
+def _springs(term: ContactTerms, scale: Array) -> Array:
+    """Stiffness of contact, that of a rigid one limited."""
+    return np.minimum(np.where(term.rigid, np.inf, term.spring), _CLOSED * scale)
+
+
+def _penetration(term: ContactTerms, n_nodes: int) -> sp.csr_matrix:
+    """Penetration (slaves) by displacements."""
     projection = term.projection
-    penetration = -projection.weights[:, :, None] * projection.direction[:, None, :]
-    spring = np.where(term.rigid, _CLOSED * scale, term.spring)
-    return sp.csr_matrix(
-        sp.diags_array(np.minimum(spring, _CLOSED * scale)) @ _matrix(penetration, term, n_nodes)
-    )
+    by_nodes = -projection.weights[:, :, None] * projection.direction[:, None, :]
+    return _matrix(by_nodes, term, n_nodes)
 
 
 def _lateral(nodes: NDArray[np.intp], weights: Array, n_nodes: int) -> list[sp.csr_matrix]:
