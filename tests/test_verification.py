@@ -12,13 +12,17 @@ from optical_palpation.reproduce.verification.closed_forms import (
     block_modulus,
     dimitriadis,
     hertz,
+    mean_radius,
     paraboloid,
     thin_paraboloid,
     transfer,
     uniaxial_compression,
 )
 from optical_palpation.reproduce.verification.homogeneous import compressed, manufactured_error
+from optical_palpation.reproduce.verification.indentation import indentation_force
 from optical_palpation.reproduce.verification.layers import MATERIAL, MU
+from optical_palpation.reproduce.verification.slabs import apparent_modulus, hill
+from optical_palpation.reproduce.verification.tangential import sideways
 from optical_palpation.reproduce.verification.waves import response
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -26,7 +30,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.mark.parametrize("ratio", [20.0, 1e4])
 @pytest.mark.parametrize("width", [0.6, 3.0])
-@pytest.mark.parametrize("law", ["mr", "yeoh"])
+@pytest.mark.parametrize("law", ["mooney-rivlin", "yeoh"])
 def test_homogeneous_compression_to_half_is_exact_on_uneven_elements(ratio, width, law):
     law = (
         MooneyRivlin(2.23, 0.703, ratio) if law == "mooney-rivlin" else Yeoh(2.9, -0.1, 0.1, ratio)
@@ -84,6 +88,37 @@ def test_integral_equation_of_a_paraboloid_meets_its_limits():
 
 def test_thin_layers_stuck_on_both_faces_carry_four_times_as_much():
     assert thin_paraboloid(1.0, "stuck") == 4 * thin_paraboloid(1.0, "one stuck")
+
+
+@pytest.mark.parametrize("base", ["stuck", "sliding"])
+def test_a_paraboloid_on_a_layer_meets_the_linear_theory_better_than_the_series(base):
+    indentation, force = paraboloid(1.0, base)
+    ours = indentation_force(1.0, base, 4)
+    assert_allclose(ours, force, rtol=0.04)
+    assert abs(ours / force - 1) < 0.4 * abs(dimitriadis(indentation, base) / force - 1)
+
+
+def test_bonded_blocks_and_one_face_against_two():
+    shape = 5.0
+    both, one = (apparent_modulus(shape, faces, 20, 5) for faces in ("stuck", "one stuck"))
+    assert_allclose(both, block_modulus(shape, MU), rtol=0.02)
+    # a frictionless face is the middle of a slab of twice the thickness
+    assert_allclose(both / one, block_modulus(shape, MU) / block_modulus(shape / 2, MU), rtol=0.03)
+    # less so, the blunter the block; and never below what it would carry without bonds
+    assert 1 < apparent_modulus(1.25, "stuck", 12, 4) / block_modulus(1.25, MU) < 1.1
+
+
+def test_friction_raises_the_force_of_a_slab_as_virtual_work_says():
+    assert_allclose(hill(0.01, 10.0, 10, 2), 1, rtol=0.02)
+    # another way to the mean distance from the middle of a square
+    points = (np.arange(400) + 0.5) / 400 - 0.5
+    assert_allclose(mean_radius(2.0), 2 * np.hypot(*np.meshgrid(points, points)).mean(), rtol=1e-4)
+
+
+def test_the_stick_zone_of_a_moved_paraboloid_is_that_of_cattaneo_and_mindlin():
+    force, radius = sideways(0.6, 4)
+    assert 0.7 < force < 0.85
+    assert_allclose(radius, (1 - force) ** (1 / 3), rtol=0.08)
 
 
 def test_apparent_modulus_of_a_square_block():

@@ -2,7 +2,10 @@
 
 from optical_palpation.reproduce.page import Chapter, Page
 from optical_palpation.reproduce.verification.homogeneous import compression, manufactured
+from optical_palpation.reproduce.verification.indentation import indentation
 from optical_palpation.reproduce.verification.not_yet import not_yet
+from optical_palpation.reproduce.verification.slabs import slabs
+from optical_palpation.reproduce.verification.tangential import tangential
 from optical_palpation.reproduce.verification.waves import waves
 
 VERIFICATION = Page(
@@ -26,6 +29,9 @@ $K/\\mu$ = 10⁴; $h$ is its thickness, $E = 3 \\mu$.
         "compression": Chapter("Homogeneous compression: a patch test of contact", compression),
         "manufactured": Chapter("Manufactured solution at finite strain", manufactured),
         "waves": Chapter("Transfer function, sliding and stuck", waves),
+        "indentation": Chapter("A paraboloid on thick and thin layers", indentation),
+        "slabs": Chapter("Bonded and slipping slabs", slabs),
+        "tangential": Chapter("Stick and slip under a tangential load", tangential),
         "not-yet": Chapter("Not yet", not_yet),
     },
 )

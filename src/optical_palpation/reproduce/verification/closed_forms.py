@@ -120,10 +120,6 @@ def block_modulus(shape: float, mu: float) -> float:
     return float(3 * mu + 12 * mu * mean * 16 * shape**2)
 
 
-def friction_hill(friction: float, thickness: float) -> float:
-    """Slope -d ln(p) / dx, 1 / mm, of the pressure in a strip that slips on both faces.
-
-    ``friction`` is the sum of both coefficients, ``thickness`` the loaded one (von Karman's strip:
-    h d(sigma_x) / dx = friction p, sigma_x + p uniform because the strip is stretched evenly).
-    """
-    return friction / thickness
+def mean_radius(side: float) -> float:
+    """Mean distance, mm, of the points of a square from its middle."""
+    return side * float(np.sqrt(2) + np.log(1 + np.sqrt(2))) / 6

@@ -43,6 +43,7 @@ def press(
     glued: tuple[bool, bool] = (False, False),
     rollers: bool = False,
     slip_length: float = 1e-3,
+    curved_sides: bool = False,
     pressure: float,
     solver: str = "direct",
     accuracy: float = 1e-7,
@@ -66,6 +67,7 @@ def press(
         edges="roller" if rollers else "free",
         slip_length=slip_length,
         glued=glued,
+        curved_sides=curved_sides,
     )
     try:
         return solve(
