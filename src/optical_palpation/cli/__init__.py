@@ -3,7 +3,8 @@
 Exit status: 0 done, 2 something the user supplied cannot be used, or there is too little memory
 (nothing was written; a study keeps the stages that were finished), 3 the mechanical solution did
 not reach the full load, 4 computed, but not every file could be written (the message says which
-were), 130 interrupted by Ctrl-C, 143 by SIGTERM.
+were), 5 pages do not say what a fresh run does (``reproduce --check``), 130 interrupted by Ctrl-C,
+143 by SIGTERM.
 """
 
 from __future__ import annotations

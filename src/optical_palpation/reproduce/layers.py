@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
@@ -92,6 +93,7 @@ def coin(setting: Setting) -> Part:
             f"{seconds:.0f} s for {count:,} elements",
             f"threads: {setting.threads or psutil.cpu_count(logical=True)}; quasi-static and "
             "implicit, multigrid",
+            tolerance=math.inf,
         )
     )
     scale = 4 * size

@@ -55,6 +55,14 @@ def write_page(folder: Path, page: Page, missing: Mapping[str, Exception]) -> Pa
     OutputError
         If it cannot be written.
     """
+    path = folder / f"{page.name}.md"
+    with replacing(path) as temporary:
+        temporary.write_text(page_text(folder, page, missing), "utf-8")
+    return path
+
+
+def page_text(folder: Path, page: Page, missing: Mapping[str, Exception]) -> str:
+    """Return what a page says; the parameters are those of :func:`write_page`."""
     parts = {name: load_part(name, folder / page.name) for name in page.chapters}
     blocks = [page.introduction]
     if any(part and part["quick"] for part in parts.values()):
@@ -75,10 +83,7 @@ def write_page(folder: Path, page: Page, missing: Mapping[str, Exception]) -> Pa
             f"*`{name}`, version {part['software_version']}, {part['seconds']:.0f} s on "
             f"{part['processors']} processors ({part['processor']}).*"
         )
-    path = folder / f"{page.name}.md"
-    with replacing(path) as temporary:
-        temporary.write_text("\n\n".join(block.strip() for block in blocks) + "\n", "utf-8")
-    return path
+    return "\n\n".join(block.strip() for block in blocks) + "\n"
 
 
 def _table(columns: tuple[str, ...], rows: list[dict[str, str]]) -> str:

@@ -32,6 +32,9 @@ class Row:
         Ours.
     why
         Why they differ, or what the agreement means.
+    tolerance
+        Within which a fresh run must find the same numbers, as a fraction of them (of those in per
+        cent, and of errors, in points); infinite for what the machine decides, such as times.
     """
 
     where: str
@@ -39,6 +42,7 @@ class Row:
     reference: str
     ours: str
     why: str = ""
+    tolerance: float = 0.01
 
 
 @dataclass

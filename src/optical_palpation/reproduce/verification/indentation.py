@@ -70,7 +70,9 @@ def indentation(setting: Setting) -> Part:
         "equation (*J. Appl. Math. Mech.* **22**, 442, 1958), which meets Hertz on thick layers "
         "and both limits of thin ones. The series of Dimitriadis et al. (*Biophys. J.* **82**, "
         "2798, 2002) is off from it by what the remarks say; our solution, which knows nothing of "
-        "either, is on the side of the integral equation. Meshes of 4 and 8 elements over $a$."
+        "either, is on the side of the integral equation. It ends 8 (sliding) and 4 thicknesses "
+        "(stuck) beyond the contact, which the sliding layer feels at a/h 2. Meshes of 4 and 8 "
+        "elements over $a$."
     )
     sizes = (3, 4) if setting.quick else (4, 8)
     cases: list[tuple[Base, float]] = [
