@@ -11,8 +11,8 @@ from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.body import Body
 from optical_palpation.mechanics.cascade import solve
-from optical_palpation.mechanics.contact import area_vectors
 from optical_palpation.mechanics.direct import DirectSolver, sparse_matrix
+from optical_palpation.mechanics.faces import area_vectors
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.iteration import Tolerances

@@ -14,7 +14,12 @@ if TYPE_CHECKING:
     from optical_palpation.batch import sweep
     from optical_palpation.errors import OpticalPalpationError
     from optical_palpation.material import MooneyRivlin
-    from optical_palpation.palpation import StressResult, algebraic_result, computational_stress
+    from optical_palpation.palpation import (
+        StressResult,
+        algebraic_result,
+        computational_stress,
+        submodel_stress,
+    )
     from optical_palpation.present import read_result
     from optical_palpation.study.python import Study
     from optical_palpation.thickness import (
@@ -42,6 +47,7 @@ __all__ = [
     "read_result",
     "read_thickness_map",
     "stress_uncertainty",
+    "submodel_stress",
     "sweep",
     "thickness_map",
 ]
@@ -63,6 +69,7 @@ _HOMES = {
     "read_result": "present",
     "read_thickness_map": "thickness",
     "stress_uncertainty": "analysis",
+    "submodel_stress": "palpation",
     "sweep": "batch",
     "thickness_map": "thickness",
 }

@@ -26,6 +26,7 @@ from optical_palpation.cli.results import compare, convert, figure, regions, rep
 from optical_palpation.cli.sample import sample
 from optical_palpation.cli.stress import StressCommand, stress
 from optical_palpation.cli.study import new, run
+from optical_palpation.cli.submodel import submodel
 from optical_palpation.cli.thickness import thickness
 from optical_palpation.cli.uncertainty import uncertainty
 from optical_palpation.errors import (
@@ -54,6 +55,9 @@ _EPILOGS: dict[Callable[..., None], str] = {
     "--c10 2.23 --c01 0.703 --window-friction 0.15 --sample-friction 0.05 --element-size 0.125 "
     "--output stress.nc --plot stress.png. Cost: seconds for 10,000 elements, minutes for a "
     "million; the first run on a machine compiles for up to a minute.",
+    submodel: "Example: optical-palpation submodel stress.nc map.mat --field-of-view 5 5 "
+    "--initial-thickness 0.5 --region 1 2 2 3 --element-size 0.025 --output part.nc. Cost: that of "
+    "as many elements as the region and its margin have.",
     demo: "Example: optical-palpation demo --output demo-output. Cost: about a minute.",
     sample: "Example: optical-palpation sample relief --output relief. Cost: some seconds.",
     new: "Example: optical-palpation new study.toml",
@@ -84,7 +88,7 @@ _EPILOGS: dict[Callable[..., None], str] = {
     convert: "Example: optical-palpation convert stress.nc --output stress.mat --output stress.tif",
 }
 for command, epilog in _EPILOGS.items():
-    kind = StressCommand if command is stress else Command
+    kind = StressCommand if command in (stress, submodel) else Command
     app.command(cls=kind, epilog=epilog)(command)
 
 

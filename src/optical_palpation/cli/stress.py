@@ -62,7 +62,7 @@ class StressCommand(Command):
         """Join the numbers that follow ``--element-size`` with commas, then parse as usual."""
         joined: list[str] = []
         for argument in args:
-            if joined and joined[-1].startswith("--element-size") and _is_number(argument):
+            if joined and joined[-1].startswith("--element-size") and is_number(argument):
                 separator = "," if "=" in joined[-1] else "="
                 joined[-1] += separator + argument
             else:
@@ -295,7 +295,7 @@ def stress(
             raise typer.BadParameter("the algebraic method makes no use of --sample-motion")
     if deck and "glued" in holds.values():
         raise typer.BadParameter("--deck: a deck has friction and no glued faces")
-    sizes = _element_size(element_size)
+    sizes = element_size_of(element_size)
 
     from optical_palpation import present, thickness
     from optical_palpation.material import make_law
@@ -303,9 +303,9 @@ def stress(
     from optical_palpation.palpation.plausibility import check_field, check_layer, check_stress
     from optical_palpation.present.output import write_each
 
-    thickness_is_map = not _is_number(initial_thickness)
+    thickness_is_map = not is_number(initial_thickness)
     inputs = [map, Path(initial_thickness)] if thickness_is_map else [map]
-    motion_is_file = sample_motion is not None and not _is_number(sample_motion)
+    motion_is_file = sample_motion is not None and not is_number(sample_motion)
     if motion_is_file:
         inputs.append(Path(str(sample_motion)))
     if sample_relief is not None:
@@ -436,11 +436,12 @@ def _check_sample_options(needed: dict[str, Any], in_the_way: dict[str, bool]) -
         raise typer.BadParameter(f"--sample-thickness cannot go with {', '.join(asked)}")
 
 
-def _element_size(text: str | None) -> float | tuple[float, ...] | None:
+def element_size_of(text: str | None) -> float | tuple[float, ...] | None:
+    """Read ``--element-size``."""
     if text is None:
         return None
     parts = text.split(",")
-    if len(parts) not in (1, 3) or not all(map(_is_number, parts)):
+    if len(parts) not in (1, 3) or not all(map(is_number, parts)):
         raise typer.BadParameter(
             f"--element-size takes one number of mm, or three for x, y, z; found {text!r}"
         )
@@ -448,7 +449,8 @@ def _element_size(text: str | None) -> float | tuple[float, ...] | None:
     return sizes if len(sizes) == 3 else sizes[0]
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a text is a number."""
     try:
         float(text)
     except ValueError:

@@ -33,8 +33,8 @@ A free side bulges and, under a large compression, rolls onto the window and the
 of the sides therefore meet both surfaces too, with a penalty and no friction. It sets in smoothly,
 before they touch: the band that rolls over is an element or two wide and carries little, but how it
 begins to carry decides whether Newton's method gets past it. For the same reason eps is larger
-at the window within ``LayerGrid.rim`` where the mesh is fine: the rim lifts off the window node by
-node, each with a snap.
+at the window within ``LayerProblem.rim`` where the mesh is fine: the rim lifts off the window node
+by node, each with a snap.
 
 The nodes of a glued face are prescribed altogether: those at the window stay, those at the imprint
 go with the point that they lay on at first. What holds them is read off the internal forces.
@@ -50,6 +50,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.runtime.kernels import keep_kernels
 
+from .faces import SHAPE, SLOPE, area_vectors
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 
 keep_kernels()
@@ -192,7 +193,7 @@ def linearise(
     c = complementarity_scale(problem)
     eps = np.broadcast_to(SMOOTHING * c * problem.grid.spacing[0], (2, *c.shape)).copy()
     # with the load, so that the unloaded layer is free of stress
-    eps[WINDOW][problem.grid.rim] *= max(1.0, state.load * problem.rim_smoothing / SMOOTHING)
+    eps[WINDOW][problem.rim] *= max(1.0, state.load * problem.rim_smoothing / SMOOTHING)
     t = normal + c * penetration
     s_value, other = smooth_maximum(t, eps)
     slope = 1 - other
@@ -283,8 +284,11 @@ def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     band = np.minimum(np.stack([above, 1 - above]), np.maximum(first, _SIDE_BAND))
     # pressure x area of a node / the height that it keeps free; a corner rolls over from both its
     # sides, and with the penalty of one its tip would swing to and fro
-    ends = [(nodes[d][:count] % (n - 1) == 0) for d, n in ((1, len(grid.y)), (2, len(grid.x)))]
-    sides = np.where(ends[0] & ends[1], 2.0, 1.0)
+    sides = np.zeros(count)
+    for own, d, last in zip(
+        problem.own_sides, (1, 1, 2, 2), (0, len(grid.y) - 1, 0, len(grid.x) - 1), strict=True
+    ):
+        sides += own & (nodes[d][:count] == last)
     c = SIDE_PENALTY * problem.shear_modulus * sides * 0.5 * (dx + dy) * first / band
     x0, y0 = (grid.nodes[n][nodes][:count] for n in range(2))
     height = problem.imprint.evaluate(x0, y0, state.load)[0]
@@ -300,42 +304,6 @@ def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     return SideContact(normal, force, stiffness)
 
 
-def _face_quadrature() -> tuple[Array, Array]:
-    """Shape functions [gauss, node] and derivatives [gauss, node, 2] of a bilinear face."""
-    g = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
-    shape, slope = np.empty((4, 4)), np.empty((4, 4, 2))
-    for q in range(4):
-        point = g[q & 1], g[q >> 1]
-        for a in range(4):
-            fx, fy = (t if (a >> d) & 1 else 1 - t for d, t in enumerate(point))
-            sx, sy = (1.0 if (a >> d) & 1 else -1.0 for d in range(2))
-            shape[q, a], slope[q, a] = fx * fy, (sx * fy, fx * sy)
-    return shape, slope
-
-
-_SHAPE, _SLOPE = _face_quadrature()
-
-
-def area_vectors(surface: Array) -> Array:
-    """Area vectors, mm^2, of the nodes of a bilinear surface (3, ny + 1, nx + 1), along +z.
-
-    The gradient of the volume beneath the surface with respect to each node's position.
-    """
-    corners = np.stack(
-        [surface[:, :-1, :-1], surface[:, :-1, 1:], surface[:, 1:, :-1], surface[:, 1:, 1:]]
-    )
-    out = np.zeros_like(surface)
-    ny, nx = corners.shape[2:]
-    for q in range(4):
-        along_x = np.tensordot(_SLOPE[q, :, 0], corners, 1)
-        along_y = np.tensordot(_SLOPE[q, :, 1], corners, 1)
-        vector = 0.25 * np.cross(along_x, along_y, axis=0)
-        for a in range(4):
-            j, i = a >> 1, a & 1
-            out[:, j : j + ny, i : i + nx] += _SHAPE[q, a] * vector
-    return out
-
-
 @nb.njit(cache=True)
 def turning_stiffness(surface, pressure, slope, out):
     """Lateral stiffness p (dA_x + a_x dA_z), p (dA_y + a_y dA_z) of each node."""
@@ -347,7 +315,7 @@ def turning_stiffness(surface, pressure, slope, out):
                 x0, x1 = surface[c, j, i], surface[c, j, i + 1]
                 x2, x3 = surface[c, j + 1, i], surface[c, j + 1, i + 1]
                 for q in range(4):
-                    d = _SLOPE[q]
+                    d = SLOPE[q]
                     t[q, c] = 0.25 * (d[0, 0] * x0 + d[1, 0] * x1 + d[2, 0] * x2 + d[3, 0] * x3)
                     s[q, c] = 0.25 * (d[0, 1] * x0 + d[1, 1] * x1 + d[2, 1] * x2 + d[3, 1] * x3)
             for a in range(4):
@@ -357,8 +325,8 @@ def turning_stiffness(surface, pressure, slope, out):
                     # derivative of t x s with respect to node b: the cross product with v
                     v0 = v1 = v2 = 0.0
                     for q in range(4):
-                        weight = p * _SHAPE[q, a]
-                        along_x, along_y = weight * _SLOPE[q, b, 0], weight * _SLOPE[q, b, 1]
+                        weight = p * SHAPE[q, a]
+                        along_x, along_y = weight * SLOPE[q, b, 0], weight * SLOPE[q, b, 1]
                         v0 += along_y * t[q, 0] - along_x * s[q, 0]
                         v1 += along_y * t[q, 1] - along_x * s[q, 1]
                         v2 += along_y * t[q, 2] - along_x * s[q, 2]

@@ -90,13 +90,15 @@ class LayerGrid:
         k = np.arange(1, nz1 - 1)
         return np.repeat(k, j.size), np.tile(j, k.size), np.tile(i, k.size)
 
-    @cached_property
-    def rim(self) -> NDArray[np.bool_]:
-        """Which lateral nodes lie within ``RIM`` thicknesses of a side, (ny + 1, nx + 1)."""
+    def rim(self, sides: tuple[bool, bool, bool, bool]) -> NDArray[np.bool_]:
+        """Which lateral nodes lie within ``RIM`` thicknesses of these sides, (ny + 1, nx + 1).
+
+        Sides are the lowest and highest in y, then in x.
+        """
+        width = RIM * (1 + 1e-6) * np.median(self.thickness)
         y, x = (
-            np.minimum(nodes - nodes[0], nodes[-1] - nodes)
-            <= RIM * (1 + 1e-6) * np.median(self.thickness)
-            for nodes in (self.y, self.x)
+            (low & (nodes - nodes[0] <= width)) | (high & (nodes[-1] - nodes <= width))
+            for nodes, low, high in ((self.y, *sides[:2]), (self.x, *sides[2:]))
         )
         return y[:, None] | x
 

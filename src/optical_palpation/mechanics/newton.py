@@ -117,6 +117,8 @@ def balance(
     force, volume, volume_ref = body.force, body.volume, body.reference_volume
     if drag is not None:
         force += drag.force(problem, state.u)
+    if problem.border is not None:
+        force[:, *problem.border.nodes] += problem.border.resistance(state.u)
     glued = list(problem.glued)
     if any(glued):
         held = state.normal_force.copy()

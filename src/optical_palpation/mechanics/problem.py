@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from optical_palpation.material import Law
 
 from .body import Body
+from .border import Border, Surroundings
 from .grid import LayerGrid
 from .imprint import Imprint
 
@@ -47,6 +48,8 @@ class LayerProblem:
     glued
         Whether window and sample side are glued to the layer: no slip and no opening, so that they
         can pull. The sample side goes with those points of the imprint that it lay on at first.
+    surroundings
+        The larger layer that this one is a part of; it holds the sides that were cut.
     """
 
     grid: LayerGrid
@@ -58,6 +61,7 @@ class LayerProblem:
     rim_smoothing: float = 0.0
     curved_sides: bool = False
     glued: tuple[bool, bool] = (False, False)
+    surroundings: Surroundings | None = None
 
     @property
     def shear_modulus(self) -> float:
@@ -73,6 +77,24 @@ class LayerProblem:
     def body(self) -> Body:
         """The layer's elements."""
         return Body(self.grid, self.law, curved_sides=self.curved_sides)
+
+    @cached_property
+    def border(self) -> Border | None:
+        """What holds the sides that were cut out of a larger layer."""
+        return None if self.surroundings is None else self.surroundings.border(self.grid)
+
+    @property
+    def own_sides(self) -> tuple[bool, bool, bool, bool]:
+        """Which sides are the layer's own: the lowest and highest in y, then in x."""
+        if self.surroundings is None:
+            return True, True, True, True
+        y0, y1, x0, x1 = self.surroundings.cut(self.grid)
+        return not y0, not y1, not x0, not x1
+
+    @cached_property
+    def rim(self) -> NDArray[np.bool_]:
+        """Which lateral nodes lie at the rim of the layer, (ny + 1, nx + 1)."""
+        return self.grid.rim(self.own_sides)
 
     def on_grid(self, grid: LayerGrid, imprint: Imprint | None = None) -> LayerProblem:
         """Return the same problem on another grid."""

@@ -154,6 +154,8 @@ def assemble(
         diagonal = plane[:, 13, :, :nx1]
         if damping > 0:
             diagonal[:, [0, 4, 8]] += (damping * grid.node_volumes[k])[:, None]
+        if problem.border is not None:
+            problem.border.add_stiffness(diagonal, k)
         if k == 0 or k >= nz1 - 2:  # the face of the sample has neighbours in the plane below it
             _to_contact_frame(plane, k, nz1, contact.row, contact.column, contact.turning)
         for face, there in faces:

@@ -4,6 +4,7 @@ from optical_palpation.palpation.algebraic import algebraic_result, algebraic_st
 from optical_palpation.palpation.computational import Progress, computational_stress
 from optical_palpation.palpation.motion import read_sample_motion, uniform_motion
 from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.palpation.submodel import submodel_stress
 
 __all__ = [
     "ContactState",
@@ -13,5 +14,6 @@ __all__ = [
     "algebraic_stress",
     "computational_stress",
     "read_sample_motion",
+    "submodel_stress",
     "uniform_motion",
 ]

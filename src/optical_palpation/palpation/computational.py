@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -104,7 +104,7 @@ def computational_stress(
         lateral element size, the finest relief that the elements can follow.
     slip_length
         Slip in mm over which friction builds up to 0.7 of its bound (the smoothing of Coulomb's
-        law); by default 0.002 of the thickness. `docs/choosing.md` says what it changes.
+        law); by default 0.002 of the thickness. `docs/which-friction.md` says what it changes.
     solver
         ``multigrid``, ``direct`` (sparse LU, for small grids) or ``auto``.
     threads
@@ -146,7 +146,7 @@ def computational_stress(
     motion = None if sample_motion is None else match_sample_motion(sample_motion, loaded)
     algebraic = algebraic_stress(loaded, initial, material, glued=glued["sample"])
     slip_length = _slip_length(slip_length, float(initial.median()))
-    sizes = _element_sizes(element_size, loaded, float(initial.median()))
+    sizes = element_sizes(element_size, loaded, float(initial.median()))
     smoothing = 0.5 * float(np.sqrt(sizes[0] * sizes[1]))
     if imprint_smoothing is not None:
         smoothing = imprint_smoothing
@@ -186,7 +186,7 @@ def computational_stress(
             "that the thickness map is one a layer of this material can take"
         ) from None
 
-    now = _checked(solution)
+    now = checked(solution)
     layer, surface = deformed_layer(solution, now)
     maps = surface_maps(solution, surface, loaded, algebraic, sizes)
 
@@ -201,8 +201,6 @@ def computational_stress(
     with limited_threads(threads):
         of_mesh = mesh_error(solution, quantities, lambda level: expected_forces(level, material))
     _check_cover(maps["axial_stress"], loaded, solution.state)
-    sides = side_contact(solution.problem, solution.state).normal_force.sum(1)
-    window_force, sample_force = _total_forces(solution.problem, solution.state)
     maps.attrs = {
         **{key: value for key, value in loaded.attrs.items() if key.startswith("source")},
         "method": "computational",
@@ -215,26 +213,9 @@ def computational_stress(
         "elements": list(problem.grid.shape[::-1]),
         "edges": edges,
         "imprint_smoothing_mm": smoothing,
-        "window_force_mN": window_force,
-        "sample_force_mN": sample_force,
-        "force_balance": abs(window_force - sample_force) / max(abs(window_force), 1e-30),
-        "no_contact_share": algebraic.attrs["no_contact_share"],
-        "newton_iterations": solution.newton_iterations,
-        "convergence": json.dumps(
-            [
-                {"elements": elements, "load": round(load, 4), "newton": count}
-                for elements, load, count in solution.record
-            ]
-        ),
-        "volume_change_percent": 100 * float(now.volume.sum() / now.volume_ref.sum() - 1),
-        "status": "converged",
-        "force_residual": now.force_error,
-        "force_tolerance": TOLERANCES.force,
-        "volume_residual": now.volume_error,
-        "volume_tolerance": TOLERANCES.volume,
-        "smallest_volume_ratio": now.min_jacobian,
-        "sides_force_share": float(sides.max()) / max(abs(window_force), 1e-30),
         "slip_length_mm": problem.slip_length,
+        "no_contact_share": algebraic.attrs["no_contact_share"],
+        **outcome(solution, now),
     }
     if of_mesh is not None:
         _add_mesh_error(maps, of_mesh)
@@ -303,7 +284,7 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
 
 
-def _element_sizes(
+def element_sizes(
     given: float | Sequence[float], loaded: xr.DataArray, thickness: float
 ) -> tuple[float, float, float]:
     """Element sizes (x, y, z), mm."""
@@ -325,7 +306,33 @@ def _element_sizes(
     return x, y, z
 
 
-def _checked(solution: Solution) -> Balance:
+def outcome(solution: Solution, now: Balance) -> dict[str, Any]:
+    """Attributes that say how a solution ended: total forces, balance, iterations and residuals."""
+    sides = side_contact(solution.problem, solution.state).normal_force.sum(1)
+    window, sample = _total_forces(solution.problem, solution.state)
+    return {
+        "window_force_mN": window,
+        "sample_force_mN": sample,
+        "force_balance": abs(window - sample) / max(abs(window), 1e-30),
+        "newton_iterations": solution.newton_iterations,
+        "convergence": json.dumps(
+            [
+                {"elements": elements, "load": round(load, 4), "newton": count}
+                for elements, load, count in solution.record
+            ]
+        ),
+        "volume_change_percent": 100 * float(now.volume.sum() / now.volume_ref.sum() - 1),
+        "status": "converged",
+        "force_residual": now.force_error,
+        "force_tolerance": TOLERANCES.force,
+        "volume_residual": now.volume_error,
+        "volume_tolerance": TOLERANCES.volume,
+        "smallest_volume_ratio": now.min_jacobian,
+        "sides_force_share": float(sides.max()) / max(abs(window), 1e-30),
+    }
+
+
+def checked(solution: Solution) -> Balance:
     """Return the balance of a solution.
 
     Raises

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
-from optical_palpation.mechanics.contact import area_vectors
+from optical_palpation.mechanics.faces import area_vectors
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.stack.contact import friction_memory, touching
 from optical_palpation.mechanics.stack.problem import (

@@ -9,7 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.mechanics.cascade import Solution
-from optical_palpation.mechanics.contact import area_vectors, friction_fraction
+from optical_palpation.mechanics.contact import friction_fraction
+from optical_palpation.mechanics.faces import area_vectors
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.newton import Balance
 from optical_palpation.mechanics.problem import SAMPLE, WINDOW

@@ -96,6 +96,17 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
     return lines
 
 
+def _submodel(attrs: Mapping[Hashable, Any]) -> list[str]:
+    """Say what part of a layer was computed, and how well."""
+    x0, x1, y0, y1 = attrs["submodel_region_mm"]
+    return [
+        f"region: x {x0:g} to {x1:g} mm, y {y0:g} to {y1:g} mm, force of the sample on it "
+        f"{attrs['sample_force_mN']:.1f} mN",
+        f"axial stress differs by {attrs['submodel_change']:.1%} from that of the coarse solution; "
+        f"the sides of the part account for up to {attrs['submodel_sides_error']:.1%}",
+    ]
+
+
 def summarise(result: StressResult) -> str:
     """Return forces, stress and contact of a result as readable lines.
 
@@ -110,11 +121,13 @@ def summarise(result: StressResult) -> str:
         for side in ("window", "sample")
         if (key := f"{side}_force_mN") in maps.attrs
     ]
-    if forces:
+    if "submodel_region_mm" in maps.attrs:
+        lines += _submodel(maps.attrs)
+    elif forces:
         lines.append("total force: " + ", ".join(forces))
     if "force_mesh_error_mN" in maps.attrs:
         lines.append(f"error of the mesh, estimated: {mesh_error(maps.attrs)}")
-    elif forces:
+    elif forces and "submodel_region_mm" not in maps.attrs:
         lines.append("error of the mesh: unknown, because there is no solution on coarser elements")
     glued = [side for side in ("window", "sample") if maps.attrs.get(f"{side}_contact") == "glued"]
     if glued:

@@ -20,12 +20,12 @@ from ..contact import (
     SIDE_GAP,
     SIDE_PENALTY,
     STIFF,
-    area_vectors,
     direction_step,
     friction_direction,
     side_penalty,
     smooth_maximum,
 )
+from ..faces import area_vectors
 from .linear import Coupling, Surface
 from .projection import Projection
 

@@ -23,7 +23,8 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from ..contact import area_vectors, turning_stiffness
+from ..contact import turning_stiffness
+from ..faces import area_vectors
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.material import InvariantLaw, MooneyRivlin
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
-from optical_palpation.mechanics.contact import area_vectors
+from optical_palpation.mechanics.faces import area_vectors
 from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import Tolerances

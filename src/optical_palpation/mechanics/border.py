@@ -1,0 +1,181 @@
+"""Sides at which a layer goes on, where it is part of a larger one that is solved already.
+
+The sides of such a part are held by what the rest of the layer does to them,
+
+    t = t0 - k (u - u0),
+
+the traction t0 and the displacement u0 of the coarse solution there, and a stiffness k that stands
+for the rest of the layer. Displacement alone, prescribed, would also prescribe the volume: an
+imprint that is finer than that of the coarse solution has another volume beneath it, and a nearly
+incompressible part answers to a difference of 1e-4 with several kPa. Traction alone would let the
+part slide. With k of a few shear moduli per thickness, displacements hold but for what the volume
+needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .faces import area_vectors
+from .grid import LayerGrid
+
+Array = NDArray[np.float64]
+Indices = tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]
+
+#: Order of the sides: those across y at its lowest and highest, then those across x.
+SIDES = ("y0", "y1", "x0", "x1")
+
+#: Nodes beyond a part, or a side, that its interpolation needs, and some more.
+_NEAR = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Border:
+    """What holds the nodes of cut sides.
+
+    Attributes
+    ----------
+    nodes
+        Indices (k, j, i) of the n nodes, those on both faces too.
+    displacement
+        u0 of each, (3, n), mm.
+    force
+        The traction t0 on the share of each, (3, n), mN.
+    stiffness
+        k times the share of each, (n,), mN / mm.
+    """
+
+    nodes: Indices
+    displacement: Array
+    force: Array
+    stiffness: Array
+
+    def resistance(self, u: Array) -> Array:
+        """Forces (3, n) with which the nodes pull at what is around them, mN."""
+        return self.stiffness * (u[:, *self.nodes] - self.displacement) - self.force
+
+    def add_stiffness(self, diagonal: NDArray[np.floating], k: int) -> None:
+        """Add the stiffness to the diagonal blocks [y, 3 * row + column, x] of plane k."""
+        _, j, i = self.nodes
+        here = self.nodes[0] == k
+        for c in (0, 4, 8):
+            diagonal[j[here], c, i[here]] += self.stiffness[here]
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """A larger layer, solved, of which a part is cut out.
+
+    Attributes
+    ----------
+    grid
+        Its grid.
+    displacement
+        (3, nz + 1, ny + 1, nx + 1), mm.
+    stress
+        Cauchy stress of its elements (xx, yy, zz, yz, xz, xy), (6, nz, ny, nx), kPa.
+    stiffness
+        k, kPa / mm.
+    extent
+        x0, x1, y0, y1 of the layer, mm, of which ``grid`` may be what is near the part.
+    """
+
+    grid: LayerGrid
+    displacement: Array
+    stress: Array
+    stiffness: float
+    extent: tuple[float, float, float, float]
+
+    def near(self, part: LayerGrid) -> Surroundings:
+        """Return what of the surroundings matters to a part."""
+        y, x = (
+            slice(
+                max(int(np.searchsorted(theirs, mine[0])) - _NEAR, 0),
+                int(np.searchsorted(theirs, mine[-1])) + _NEAR,
+            )
+            for mine, theirs in ((part.y, self.grid.y), (part.x, self.grid.x))
+        )
+        grid = LayerGrid(self.grid.x[x], self.grid.y[y], self.grid.depth, self.grid.thickness[y, x])
+        cells = tuple(slice(s.start, s.start + len(n) - 1) for s, n in ((y, grid.y), (x, grid.x)))
+        return replace(
+            self,
+            grid=grid,
+            displacement=self.displacement[:, :, y, x],
+            stress=self.stress[:, :, cells[0], cells[1]],
+        )
+
+    def cut(self, part: LayerGrid) -> tuple[bool, bool, bool, bool]:
+        """Which sides of a part are cut, in the order of ``SIDES``; the others are the layer's."""
+        x0, x1, y0, y1 = self.extent
+        slack = 1e-6 * (x1 - x0)
+        return (
+            bool(part.y[0] > y0 + slack),
+            bool(part.y[-1] < y1 - slack),
+            bool(part.x[0] > x0 + slack),
+            bool(part.x[-1] < x1 - slack),
+        )
+
+    def border(self, part: LayerGrid) -> Border:
+        """What holds the cut sides of a part, on the nodes of its grid."""
+        nz1, ny1, nx1 = part.node_shape
+        numbers = np.arange(nz1 * ny1 * nx1).reshape(part.node_shape)
+        found = []
+        for name, cut in zip(SIDES, self.cut(part), strict=True):
+            if not cut:
+                continue
+            across_x, end = name[0] == "x", -1 if name[1] == "1" else 0
+            plane = (slice(None), slice(None), end) if across_x else (slice(None), end)
+            side = LayerGrid(
+                part.x[[end]] if across_x else part.x,
+                part.y if across_x else part.y[[end]],
+                part.depth,
+                part.thickness[:, [end]] if across_x else part.thickness[[end]],
+            )
+            around = self.near(side)
+            moved = side.interpolate_from(around.grid, around.displacement)
+            tensor = side.interpolate_from(around.grid, _at_nodes(around.stress))
+            moved, tensor, at = (
+                field[..., 0] if across_x else field[:, :, 0]
+                for field in (moved, tensor, side.nodes)
+            )
+            # outwards: those across x point along x, those across y against y
+            sign = (1.0 if end else -1.0) * (1.0 if across_x else -1.0)
+            area = sign * area_vectors(at + moved)
+            xx, yy, zz, yz, xz, xy = tensor
+            rows = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            force = np.einsum("cdkn,dkn->ckn", rows, area)
+            size = np.linalg.norm(area, axis=0)
+            found.append(
+                (numbers[plane].ravel(), *(f.reshape(3, -1) for f in (moved, force)), size.ravel())
+            )
+        each = np.concatenate([number for number, *_ in found])
+        nodes, first, place = np.unique(each, return_index=True, return_inverse=True)
+        moved = np.concatenate([m for _, m, *_ in found], axis=1)[:, first]
+        force, size = np.zeros((3, nodes.size)), np.zeros(nodes.size)
+        for c in range(3):
+            np.add.at(force[c], place, np.concatenate([f[c] for *_, f, _ in found]))
+        np.add.at(size, place, np.concatenate([s for *_, s in found]))
+        indices = np.unravel_index(nodes, part.node_shape)
+        return Border((indices[0], indices[1], indices[2]), moved, force, self.stiffness * size)
+
+
+def _at_nodes(field: Array) -> Array:
+    """Nodal values of an element field (n, nz, ny, nx), which alternates from element to element.
+
+    The mean of the elements around each node; beyond both faces the field goes on in a straight
+    line.
+    """
+    below, above = field[:, :1], field[:, -1:]
+    if field.shape[1] > 1:
+        below, above = 2 * below - field[:, 1:2], 2 * above - field[:, -2:-1]
+    padded = np.concatenate([below, field, above], axis=1)
+    padded = np.pad(padded, ((0, 0), (0, 0), (1, 1), (1, 1)), mode="edge")
+    for axis in (1, 2, 3):
+        low = [slice(None)] * 4
+        high = [slice(None)] * 4
+        low[axis], high[axis] = slice(None, -1), slice(1, None)
+        padded = 0.5 * (padded[tuple(low)] + padded[tuple(high)])
+    return padded

@@ -1,0 +1,45 @@
+"""Bilinear faces: their quadrature and their area vectors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def _face_quadrature() -> tuple[Array, Array]:
+    """Shape functions [gauss, node] and derivatives [gauss, node, 2] of a bilinear face."""
+    g = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
+    shape, slope = np.empty((4, 4)), np.empty((4, 4, 2))
+    for q in range(4):
+        point = g[q & 1], g[q >> 1]
+        for a in range(4):
+            fx, fy = (t if (a >> d) & 1 else 1 - t for d, t in enumerate(point))
+            sx, sy = (1.0 if (a >> d) & 1 else -1.0 for d in range(2))
+            shape[q, a], slope[q, a] = fx * fy, (sx * fy, fx * sy)
+    return shape, slope
+
+
+#: Shape functions [gauss, node] and their derivatives [gauss, node, 2].
+SHAPE, SLOPE = _face_quadrature()
+
+
+def area_vectors(surface: Array) -> Array:
+    """Area vectors, mm^2, of the nodes of a bilinear surface (3, ny + 1, nx + 1), along +z.
+
+    The gradient of the volume beneath the surface with respect to each node's position.
+    """
+    corners = np.stack(
+        [surface[:, :-1, :-1], surface[:, :-1, 1:], surface[:, 1:, :-1], surface[:, 1:, 1:]]
+    )
+    out = np.zeros_like(surface)
+    ny, nx = corners.shape[2:]
+    for q in range(4):
+        along_x = np.tensordot(SLOPE[q, :, 0], corners, 1)
+        along_y = np.tensordot(SLOPE[q, :, 1], corners, 1)
+        vector = 0.25 * np.cross(along_x, along_y, axis=0)
+        for a in range(4):
+            j, i = a >> 1, a & 1
+            out[:, j : j + ny, i : i + nx] += SHAPE[q, a] * vector
+    return out

@@ -1,0 +1,217 @@
+"""Part of the field of view on finer elements than the whole, from the solution of the whole on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.errors import ConvergenceError, InputError
+from optical_palpation.mechanics.path import LoadNotReached
+from optical_palpation.mechanics.problem import LayerProblem
+from optical_palpation.mechanics.submodel import part_of, solve_part
+from optical_palpation.palpation.algebraic import algebraic_stress
+from optical_palpation.palpation.computational import (
+    Progress,
+    checked,
+    element_sizes,
+    outcome,
+)
+from optical_palpation.palpation.memory import check_memory
+from optical_palpation.palpation.meshing import Hold, layer_problem
+from optical_palpation.palpation.result import StressResult
+from optical_palpation.palpation.surface import deformed_layer, surface_maps
+from optical_palpation.palpation.threads import limited_threads
+from optical_palpation.thickness.frames import layer_extent_of, on_grid
+from optical_palpation.thickness.initial import match_initial_thickness
+
+#: Width in thicknesses of what is computed around the region and left out of the result.
+MARGIN = 0.5
+
+
+def submodel_stress(
+    coarse: StressResult,
+    loaded: xr.DataArray,
+    initial_thickness: float | xr.DataArray,
+    region: Sequence[float],
+    *,
+    element_size: float | Sequence[float],
+    margin: float | None = None,
+    imprint_smoothing: float | None = None,
+    threads: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> StressResult:
+    """Compute the stress in a region on finer elements than the whole was.
+
+    The part of the layer around the region is cut out of the whole and held at its sides by what
+    the coarse solution says of traction and displacement there. Material, friction, slip length,
+    edges and the motion of the sample are those of the coarse solution.
+
+    Parameters
+    ----------
+    coarse
+        The whole layer, from :func:`~optical_palpation.palpation.computational_stress`.
+    loaded, initial_thickness
+        The thickness maps from which it was computed, mm.
+    region
+        x0, x1, y0, y1 in mm, in the coordinates of the maps.
+    element_size
+        As for ``computational_stress``; smaller than that of the coarse solution.
+    margin
+        Width in mm of what is computed around the region and left out of the result; by default
+        half of the thickness, and no less than four elements. Where it reaches a border of the
+        layer the part ends there.
+    imprint_smoothing
+        As for ``computational_stress``: half of the lateral element size by default.
+    threads, progress
+        As for ``computational_stress``.
+
+    Returns
+    -------
+    StressResult
+        Maps of the region. ``submodel_sides_error`` among the attributes estimates what the cut
+        sides get wrong: the change of contact pressure in the region with half of the margin along
+        x, and that along y, as fractions (root mean squares), added. ``submodel_change`` is by how
+        much the axial stress differs from that of the coarse solution, ``sample_force_mN`` the
+        force on the region.
+
+    Raises
+    ------
+    InputError
+        If the coarse result holds no solution, its maps are others, or a number cannot be used.
+    ConvergenceError
+        If the part finds no equilibrium.
+    """
+    whole, state = coarse.problem, coarse.state
+    if whole is None or state is None:
+        raise InputError(
+            "the coarse result holds no solution to start from: only results of the computational "
+            "method do, and files of them that this version has written"
+        )
+    if whole.surroundings is not None:
+        raise InputError("the coarse result is itself a part of a layer: give the whole")
+    about = coarse.maps.attrs
+    loaded = on_grid(loaded)
+    if bool(loaded.isnull().any()):
+        raise InputError("the loaded thickness has missing values: fill them with clean_thickness")
+    held: dict[str, Hold] = {
+        face: "glued" if glued else friction
+        for face, glued, friction in zip(
+            ("window", "sample"), whole.glued, whole.friction, strict=True
+        )
+    }
+    pulls = held["sample"] == "glued"
+    initial = match_initial_thickness(initial_thickness, loaded, glued=pulls)
+    thickness = float(initial.median())
+    sizes = element_sizes(element_size, loaded, thickness)
+    x0, x1, y0, y1 = _region(region, loaded)
+    if sizes[0] * sizes[1] >= whole.grid.spacing[1] * whole.grid.spacing[2]:
+        raise InputError(
+            f"elements of {sizes[0]:g} x {sizes[1]:g} mm are no smaller than those of the coarse "
+            f"solution, {whole.grid.spacing[2]:.3g} x {whole.grid.spacing[1]:.3g} mm"
+        )
+    least = 4 * max(sizes[:2])  # half of it is whole elements of twice the size
+    margin = max(MARGIN * thickness, least) if margin is None else float(margin)
+    if not margin >= least * (1 - 1e-6) or not np.isfinite(margin):
+        raise InputError(f"margin must be at least {least:g} mm, four elements, not {margin:g} mm")
+    smoothing = 0.5 * float(np.sqrt(sizes[0] * sizes[1]))
+    if imprint_smoothing is not None:
+        smoothing = float(imprint_smoothing)
+    fine = layer_problem(
+        loaded,
+        initial,
+        None,
+        whole.law,
+        held,
+        sizes,
+        about["edges"],
+        smoothing,
+        whole.slip_length,
+    )
+    imprint = fine.imprint
+    if imprint.loaded.shape != whole.imprint.loaded.shape:
+        raise InputError(
+            f"the thickness map has {imprint.loaded.shape[::-1]} pixels, that of the coarse "
+            f"solution {whole.imprint.loaded.shape[::-1]}: give the map that it was computed from"
+        )
+    if whole.imprint.motion is not None:
+        fine = replace(fine, imprint=replace(imprint, motion=whole.imprint.motion))
+    wide, near = (
+        (x0 - width, x1 + width, y0 - width, y1 + width) for width in (margin, 0.5 * margin)
+    )
+    part = part_of(fine, whole, state, wide)
+    check_memory(part)
+    newton = 0
+
+    def report(level: LayerProblem, load: float, iteration: int, now: object, krylov: int) -> None:
+        nonlocal newton
+        newton += iteration > 0
+        if progress:
+            progress(Progress(f"{level.grid.n_elements:,} elements", load, newton))
+
+    try:
+        with limited_threads(threads):
+            solution, error = solve_part(part, whole, state, (x0, x1, y0, y1), near, report)
+    except LoadNotReached as failure:
+        raise ConvergenceError(
+            f"the part around x {x0:g} to {x1:g}, y {y0:g} to {y1:g} mm finds no equilibrium: "
+            f"{failure.reason}. Try elements nearer to the size of the coarse ones, or a larger "
+            "margin"
+        ) from None
+    now = checked(solution)
+    layer, surface = deformed_layer(solution, now)
+    algebraic = algebraic_stress(loaded, initial, whole.law, glued=pulls)
+    here = loaded.assign_attrs(layer_extent=[x0, x1, y0, y1])
+    maps = surface_maps(solution, surface, here, algebraic, sizes)
+    stress = maps["axial_stress"]
+    before = coarse.maps["axial_stress"].interp(x=stress["x"], y=stress["y"])
+    change = float(np.sqrt(((stress - before) ** 2).mean() / (stress**2).mean()))
+    ending = outcome(solution, now)
+    for key in ("window_force_mN", "sample_force_mN", "force_balance", "volume_change_percent"):
+        del ending[key]  # of the part with its margin, whose sides carry forces too
+    pressure = maps["contact_pressure"].fillna(0.0)
+    maps.attrs = {
+        **{key: value for key, value in about.items() if _is_setting(key)},
+        "element_size_mm": list(part.grid.spacing[::-1]),
+        "elements": list(part.grid.shape[::-1]),
+        "imprint_smoothing_mm": smoothing,
+        "sample_force_mN": float(pressure.integrate(["x", "y"])),
+        **ending,
+        "submodel_region_mm": [x0, x1, y0, y1],
+        "submodel_margin_mm": margin,
+        "submodel_coarse_element_size_mm": about["element_size_mm"],
+        "submodel_sides_error": error,
+        "submodel_change": change,
+    }
+    return StressResult(maps, layer, part, solution.state)
+
+
+_SETTINGS = ("method", "edges", "bulk_to_shear", "initial_thickness", "no_contact_share", "unusual")
+
+
+def _is_setting(key: object) -> bool:
+    """Whether an attribute of the coarse result holds for its parts as well."""
+    name = str(key)
+    kinds = ("law", "source", "sample_motion", "slip_length", "window_", "sample_")
+    settings = name.startswith((*kinds, *_SETTINGS)) or name.endswith("_kPa") or name == "alpha"
+    return settings and not name.endswith("_force_mN")
+
+
+def _region(given: Sequence[float], loaded: xr.DataArray) -> tuple[float, float, float, float]:
+    """Check a region, x0, x1, y0, y1 in mm."""
+    try:
+        x0, x1, y0, y1 = (float(v) for v in given)
+    except (TypeError, ValueError):
+        raise InputError(f"region: x0, x1, y0, y1 in mm, not {given!r}") from None
+    a0, a1, b0, b1 = layer_extent_of(loaded)
+    slack = 1e-6 * (a1 - a0)
+    if not (x0 < x1 and y0 < y1):
+        raise InputError(f"region: x0 < x1 and y0 < y1 in mm, not {(x0, x1, y0, y1)}")
+    if x0 < a0 - slack or x1 > a1 + slack or y0 < b0 - slack or y1 > b1 + slack:
+        raise InputError(
+            f"region {(x0, x1, y0, y1)} (x0, x1, y0, y1 in mm) reaches beyond the layer, "
+            f"{(a0, a1, b0, b1)}"
+        )
+    return x0, x1, y0, y1

@@ -1,0 +1,189 @@
+"""A part of a layer on finer elements, held at its sides by the solution of the whole."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+from numpy.testing import assert_allclose
+
+from optical_palpation.errors import InputError
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics.direct import DirectSolver, sparse_matrix
+from optical_palpation.mechanics.newton import balance
+from optical_palpation.mechanics.submodel import part_of
+from optical_palpation.mechanics.system import assemble
+from optical_palpation.palpation import algebraic_result, computational_stress, submodel_stress
+from optical_palpation.present import read_result
+
+GEL = MooneyRivlin(2.23, 0.703)
+SIZE, THICKNESS = 2.4, 0.4
+
+
+def relief(depth: float = 0.03) -> xr.DataArray:
+    x = np.linspace(0, SIZE, 97)
+    wave = np.sin(7 * x) * np.cos(6 * x)[:, None] + 0.5 * np.cos(11 * x)
+    loaded = 0.36 + depth * wave
+    return xr.DataArray(loaded, {"y": x, "x": x}, ("y", "x"), attrs={"units": "mm"})
+
+
+def whole(size: float, window=0.2, sample=0.1, loaded=None, **options):
+    return computational_stress(
+        relief() if loaded is None else loaded,
+        THICKNESS,
+        GEL,
+        window_friction=window,
+        sample_friction=sample,
+        element_size=size,
+        edge_check=False,
+        **options,
+    )
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    return whole(0.1)
+
+
+@pytest.fixture(scope="module")
+def fine():
+    return whole(0.05)
+
+
+def error(part, reference) -> float:
+    """Relative difference of the axial stress (root mean square)."""
+    ours = part.maps["axial_stress"]
+    theirs = reference.maps["axial_stress"].interp(x=ours["x"], y=ours["y"])
+    return float(np.sqrt(((ours - theirs) ** 2).mean() / (theirs**2).mean()))
+
+
+@pytest.mark.parametrize("region", [(0.8, 1.4, 1.0, 1.5), (0.0, 0.5, 1.9, 2.4)])
+def test_a_region_is_that_of_the_whole_on_fine_elements(coarse, fine, region):
+    """In the middle, and in a corner, where two sides are the layer's own."""
+    part = submodel_stress(coarse, relief(), THICKNESS, region, element_size=0.05)
+    x, y = part.maps["x"], part.maps["y"]
+    assert_allclose([x[0], x[-1], y[0], y[-1]], region)
+    off = error(part, fine)
+    assert off < 0.025
+    assert off < 0.25 * error(replace(coarse, maps=coarse.maps.interp(x=x, y=y)), fine)
+    assert 0.2 * off < part.maps.attrs["submodel_sides_error"] < 0.05
+    assert part.problem.grid.n_elements < 0.4 * fine.problem.grid.n_elements
+    expected = fine.maps["contact_pressure"].interp(x=x, y=y).integrate(["x", "y"])
+    assert part.maps.attrs["sample_force_mN"] == pytest.approx(float(expected), rel=0.025)
+    for key in ("window_friction", "sample_friction", "c10_kPa", "slip_length_mm", "edges"):
+        assert part.maps.attrs[key] == fine.maps.attrs[key]
+
+
+def test_a_better_solution_of_the_whole_makes_a_better_part(fine):
+    """The more so with a margin, over which its errors of shear fade."""
+    region = 0.8, 1.4, 1.0, 1.5
+    near, far = (
+        submodel_stress(whole(size), relief(), THICKNESS, region, element_size=0.05, margin=0.4)
+        for size in (0.12, 0.07)
+    )
+    assert error(far, fine) < 0.75 * error(near, fine)
+
+
+def test_uniform_stress_goes_through_cut_sides_unchanged():
+    flat = relief(0.0)
+    solved = whole(0.2, 0.0, 0.0, flat)
+    part = submodel_stress(
+        solved, flat, THICKNESS, (0.9, 1.5, 0.8, 1.6), element_size=0.05, imprint_smoothing=0.0
+    )
+    expected = float(solved.maps["axial_stress"].mean())
+    assert_allclose(part.maps["axial_stress"], expected, rtol=1e-4)
+    assert_allclose(part.maps["algebraic_axial_stress"], expected, rtol=2e-3)
+    assert part.maps.attrs["submodel_sides_error"] < 1e-4
+
+
+def test_a_glued_layer_that_is_pulled():
+    loaded = relief() + 0.04
+    solved, reference = (whole(s, "glued", "glued", loaded) for s in (0.1, 0.05))
+    part = submodel_stress(solved, loaded, THICKNESS, (0.8, 1.4, 1.0, 1.5), element_size=0.05)
+    assert float(part.maps["contact_pressure"].min()) < 0
+    assert error(part, reference) < 0.03
+    assert part.maps.attrs["sample_contact"] == "glued"
+
+
+def test_the_matrix_is_the_derivative_of_the_equations(coarse):
+    problem, state = coarse.problem, coarse.state
+    part = part_of(problem, problem, state, (0.8, 1.4, 1.0, 1.5))
+    assert part.own_sides == (False, False, False, False)
+    moved = nudged(part, problem, state)
+    rng = np.random.default_rng(0)
+    now = balance(part, moved)
+    system = assemble(part, moved, now, DirectSolver(part.grid.node_shape, 0.0))
+    du = np.where(system.free, rng.standard_normal(moved.u.shape), 0.0)
+    residuals = []
+    for sign in (1, -1):
+        other = moved.copy()
+        other.u += sign * 1e-7 * system.to_cartesian(du)
+        residuals.append(balance(part, other).residual)
+    expected = (residuals[0] - residuals[1]) / 2e-7
+    product = (sparse_matrix(system.stencil, system.free) @ du.ravel()).reshape(du.shape)
+    assert abs(product - expected)[:, 1:-1].max() < 1e-6 * abs(expected).max()
+    sides = np.array([part.grid.x[-1] - part.grid.x[0], part.grid.y[-1] - part.grid.y[0]])
+    area = 2 * sides.sum() * part.imprint.loaded.mean()
+    expected_stiffness = area * part.surroundings.stiffness
+    assert part.border.stiffness.sum() == pytest.approx(expected_stiffness, rel=0.1)
+
+
+def nudged(part, problem, state):
+    """The state of the whole on the nodes of a part, nudged."""
+    from optical_palpation.mechanics.cascade import prolong
+
+    moved = prolong(state, problem, part)
+    moved.u += 1e-3 * np.random.default_rng(1).standard_normal(moved.u.shape)
+    return moved
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"region": (1.0, 0.5, 1.0, 1.5)}, "x0 < x1"),
+        ({"region": (1.0, 2.5, 1.0, 1.5)}, "beyond the layer"),
+        ({"region": (1.0, 1.5)}, "x0, x1, y0, y1"),
+        ({"element_size": 0.1}, "no smaller than those of the coarse"),
+        ({"margin": 0.01}, "at least .* four elements"),
+        ({"loaded": relief()[::2, ::2]}, "the map that it was computed from"),
+    ],
+)
+def test_what_cannot_be_used(coarse, change, message):
+    given = {"region": (1.0, 1.5, 1.0, 1.5), "element_size": 0.05, "loaded": relief()} | change
+    loaded, region = given.pop("loaded"), given.pop("region")
+    with pytest.raises(InputError, match=message):
+        submodel_stress(coarse, loaded, THICKNESS, region, **given)
+
+
+def test_only_a_solution_of_the_whole_has_parts(coarse):
+    with pytest.raises(InputError, match="holds no solution"):
+        submodel_stress(
+            algebraic_result(relief(), THICKNESS, GEL),
+            relief(),
+            THICKNESS,
+            (1.0, 1.5, 1.0, 1.5),
+            element_size=0.05,
+        )
+
+
+def test_command(coarse, tmp_path, monkeypatch, run):
+    monkeypatch.chdir(tmp_path)
+    values = relief()
+    np.savez("m.npz", L1=values.values, x=values["x"].values, y=values["y"].values)
+    coarse.save("whole.nc")
+    code, out, err = run(
+        *["submodel", "whole.nc", "m.npz", "--initial-thickness", THICKNESS],
+        *["--region", 0.8, 1.4, 1.0, 1.5, "--element-size", 0.05, "--output", "part.nc"],
+    )
+    assert code == 0, err
+    assert "region: x 0.8 to 1.4 mm, y 1 to 1.5 mm" in out
+    assert "the sides of the part account for up to" in out
+    part = read_result("part.nc")
+    again = submodel_stress(coarse, values, THICKNESS, (0.8, 1.4, 1.0, 1.5), element_size=0.05)
+    assert_allclose(part.maps["axial_stress"], again.maps["axial_stress"], rtol=1e-5)
+    code, _, err = run(
+        *["submodel", "part.nc", "m.npz", "--initial-thickness", THICKNESS],
+        *["--region", 0.9, 1.3, 1.1, 1.4, "--element-size", 0.025, "--output", "p.nc"],
+    )
+    assert code == 2
+    assert "holds no solution" in err or "give the whole" in err
