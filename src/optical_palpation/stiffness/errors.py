@@ -106,15 +106,21 @@ def propagated(
     of_stress, of_force = sensitivity.pressure, sensitivity.force
     on_columns = np.diag(estimate.covariance).copy()
     on_stress = np.einsum("ij,jk,ik->i", of_stress, estimate.covariance, of_stress, optimize=True)
-    # What the fine mesh is off by, from how far the coarse one is from it.
     on_force = float(of_force @ estimate.covariance @ of_force)
-    by_mesh = abs(pressed.force - rough.force) / estimate.refinement
-    on_force += by_mesh**2
+    # The coarse mesh is further from the truth than the fine one: in stress, and in thickness, to
+    # which the stiffness has answered.
+    nominal = rough.misfit(measured)
+    thickness = estimate.misfit - carried(nominal, coarse.layer, pressed.layer)
+    answer = -estimate.gain @ thickness.ravel() / estimate.refinement
     differs = pressed.pressure - carried(rough.pressure, rough.slaves, pressed.slaves)
-    of_mesh = gaussian_filter((differs / estimate.refinement) ** 2, _NEAR, mode="nearest")
+    stress = (of_stress @ answer).reshape(rough.pressure.shape)
+    differs = differs / estimate.refinement + carried(stress, rough.slaves, pressed.slaves)
+    of_mesh = gaussian_filter(differs**2, _NEAR, mode="nearest")
+    by_mesh = (pressed.force - rough.force) / estimate.refinement + float(of_force @ answer)
+    on_columns += answer**2
+    on_force += by_mesh**2
 
     known: dict[str, dict[str, float | None]] = {}
-    nominal = rough.misfit(measured)
     of_travel = len(on_columns) > stiffness.size  # it is sought, and the force given instead
     for name, error in vars(inputs).items():
         if error == 0 or name == ("compression" if of_travel else "total_force"):
@@ -163,7 +169,7 @@ def propagated(
         stiffness=BAND * np.sqrt(on_columns[: stiffness.size]).reshape(stiffness.shape),
         travel=BAND * float(np.sqrt(on_columns[-1])) if of_travel else None,
         force=BAND * float(np.sqrt(on_force)),
-        force_of_mesh=by_mesh,
+        force_of_mesh=abs(by_mesh),
         inputs=known,
     )
 
