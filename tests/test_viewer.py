@@ -16,6 +16,7 @@ from optical_palpation.thickness import read_corrections, write_thickness_map
 from optical_palpation.viewer.layers import KEY
 from optical_palpation.viewer.session import Session
 from study_case import make_study, make_volumes
+from viewer_pictures import click, drag, pump, wait
 
 pytest.importorskip("napari", reason="napari is not installed")
 
@@ -82,21 +83,6 @@ def study(tmp_path_factory):
     return make_study(folder)
 
 
-def pump():
-    from qtpy.QtWidgets import QApplication
-
-    QApplication.processEvents()
-
-
-def wait(until, seconds=300):
-    end = time.monotonic() + seconds
-    while not until():
-        assert time.monotonic() < end, "took too long"
-        pump()
-        time.sleep(0.01)
-    pump()
-
-
 def wait_idle(panel):
     wait(lambda: not panel.bench.background.is_busy)
     assert not panel.message.text().startswith("error"), panel.message.text()
@@ -104,45 +90,6 @@ def wait_idle(panel):
 
 def layer(panel, kind, side=None):
     return next(panel.bench.layers(kind, side))
-
-
-def press(viewer, *world):
-    """Click with the mouse where the point (in the order of the shown axes) lies on the canvas."""
-    from qtpy.QtCore import QPoint, Qt
-    from qtpy.QtTest import QTest
-
-    pump()
-    canvas = viewer.window._qt_viewer.canvas
-    transform = canvas.view.scene.transform
-    for point in world:
-        x, y = transform.map([*reversed(point), 0, 1])[:2]
-        at = QPoint(round(float(x)), round(float(y)))
-        QTest.mouseMove(canvas.native, at)
-        pump()
-        QTest.mouseClick(canvas.native, Qt.MouseButton.LeftButton, pos=at)
-        pump()
-
-
-def drag(viewer, start, end):
-    """Draw with the mouse from one point to another."""
-    from qtpy.QtCore import QPoint, Qt
-    from qtpy.QtTest import QTest
-
-    pump()
-    canvas = viewer.window._qt_viewer.canvas
-    transform = canvas.view.scene.transform
-    places = []
-    for share in (0.0, 0.3, 0.6, 1.0):
-        point = [a + share * (b - a) for a, b in zip(start, end, strict=True)]
-        x, y = transform.map([*reversed(point), 0, 1])[:2]
-        places.append(QPoint(round(float(x)), round(float(y))))
-    QTest.mouseMove(canvas.native, places[0])
-    QTest.mousePress(canvas.native, Qt.MouseButton.LeftButton, pos=places[0])
-    for at in places[1:]:
-        QTest.mouseMove(canvas.native, at)
-        pump()
-    QTest.mouseRelease(canvas.native, Qt.MouseButton.LeftButton, pos=places[-1])
-    pump()
 
 
 def test_the_manifest_is_valid():
@@ -221,7 +168,7 @@ def test_from_volumes_to_a_table_and_back_to_the_command(viewer, panel, study, t
     panel.correction.boundary.setCurrentText("sample")
     panel.correction.draw_anchors()
     viewer.dims.set_current_step(1, 30)
-    press(viewer, (0.40, 0.6))
+    click(viewer, (0.40, 0.6))
     anchors = layer(panel, "anchors", "loaded")
     assert len(anchors.data) == 1
     # a rectangle on a map
@@ -261,7 +208,7 @@ def test_from_volumes_to_a_table_and_back_to_the_command(viewer, panel, study, t
     (region,) = panel.regions.regions()
     expected = region_statistics(result.maps, [region])
     header = [panel.regions.table.horizontalHeaderItem(i).text() for i in range(6)]
-    assert header[:4] == ["mean (kPa)", "lowest (kPa)", "highest (kPa)", "force (mN)"]
+    assert header[:4] == ["mean\n(kPa)", "lowest\n(kPa)", "highest\n(kPa)", "force\n(mN)"]
     assert panel.regions.table.item(0, 0).text() == f"{float(expected['mean'][0]):.4g}"
     assert panel.regions.table.item(0, 3).text() == f"{float(expected['force'][0]):.4g}"
     assert float(expected["area"][0]) == pytest.approx(0.3, rel=0.1)
@@ -360,9 +307,11 @@ def test_what_is_missing_or_wrong_is_said(panel, study, tmp_path):
 def test_a_study_of_a_number_and_a_volume_is_shown_as_it_is(panel, study):
     session = Session.open(study)
     session.change({"unloaded": {"thickness": 0.44}, "grid.element_size": [0.2, 0.25, 0.1]})
+    session.change({"friction": {"window": "glued", "sample": 0.1, "slip_length": 0.001}})
     panel.bench.take_up(session)
     assert panel.measurement.thickness.value() == 0.44
     assert layer(panel, "volume").metadata[KEY]["input"]["volume"].endswith("loaded.npy")
     panel.solving.apply()
     assert session.tables["unloaded"] == {"thickness": 0.44}
     assert session.tables["grid"]["element_size"] == [0.2, 0.25, 0.1]
+    assert session.tables["friction"] == {"window": "glued", "sample": 0.1, "slip_length": 0.001}

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from optical_palpation.analysis import Region, read_regions, write_regions
 from optical_palpation.errors import InputError, MaterialError, OutputError
+from optical_palpation.present.terms import STATES
 from optical_palpation.study import read_study, run_study
 from optical_palpation.thickness import Corrections
 from optical_palpation.thickness.corrections import Anchor, Exclusion
@@ -165,7 +166,7 @@ def test_maps_carry_units_and_those_of_a_kind_share_their_limits():
     assert computed.keywords["scale"] == pytest.approx([0.1, 0.1])
     assert computed.keywords["translate"] == [1.0, 0.0]
     assert np.array_equal(computed.data, maps()["axial_stress"].values.astype(np.float32))
-    assert len(layers["contact_state"].keywords["colormap"]["colors"]) == 3
+    assert len(layers["contact_state"].keywords["colormap"]["colors"]) == len(STATES)
 
 
 def test_regions_that_are_drawn_and_written_are_those_that_the_command_reads(tmp_path):

@@ -175,37 +175,17 @@ def _relative(target: Path, start: Path) -> str:
 
 def _row(folder: Path, scan: Scan) -> tuple[dict[str, Any], NDArray[np.float32]]:
     """Entries of the table, units in the names of the columns, and the thumbnail."""
-    from optical_palpation.palpation.result import ContactState
     from optical_palpation.present import read_result
     from optical_palpation.present.profiles import on_layer
+    from optical_palpation.present.tables import result_columns
     from optical_palpation.study import warnings_about
 
     result = read_result(folder / RESULT)
-    maps, about = on_layer(result.maps), result.maps.attrs
+    maps = on_layer(result.maps)
     record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-    row: dict[str, Any] = {}
-    for side in ("window", "sample"):
-        row[f"{side}_force_mN"] = float(about[f"{side}_force_mN"])
-    for method, name in (("", "axial_stress"), ("algebraic_", "algebraic_axial_stress")):
-        stress = maps[name].values
-        row[f"{method}mean_axial_stress_kPa"] = float(np.nanmean(stress))
-        row[f"{method}first_percentile_axial_stress_kPa"] = float(np.nanpercentile(stress, 1))
-        row[f"{method}most_compressed_axial_stress_kPa"] = float(np.nanmin(stress))
-    state = maps["contact_state"].values
-    row["in_contact_fraction"] = float(np.mean(state != ContactState.OPEN))
-    row["filled_fraction"] = float(about.get("filled_share", 0.0))
-    row["mean_loaded_thickness_mm"] = float(maps["loaded_thickness"].mean())
+    row: dict[str, Any] = result_columns(result)
     if scan.regions is not None:
         row |= _regions(maps, scan.regions)
-    for key in ("c10_kPa", "c01_kPa", "bulk_to_shear", "window_friction", "sample_friction"):
-        if key in about:
-            row[key] = float(about[key])
-    for key in ("window_contact", "sample_contact"):
-        if key in about:
-            row[key] = str(about[key])
-    for key in ("elements", "newton_iterations"):
-        if key in about:
-            row[key] = int(np.ravel(about[key])[0])
     row["seconds"] = round(sum(entry["seconds"] for entry in record["stages"].values()), 2)
     row["warnings"] = "; ".join(warnings_about(result))
     row["software_version"] = record["software_version"]

@@ -29,6 +29,7 @@ from optical_palpation.cli.study import new, run
 from optical_palpation.cli.submodel import submodel
 from optical_palpation.cli.thickness import thickness
 from optical_palpation.cli.uncertainty import uncertainty
+from optical_palpation.cli.watch import watch
 from optical_palpation.errors import (
     ConvergenceError,
     IncompleteOutputError,
@@ -66,6 +67,8 @@ _EPILOGS: dict[Callable[..., None], str] = {
     "study.toml --check. Cost: seconds to minutes, by element size.",
     batch: "Example: optical-palpation batch scans.csv --output results. Cost: that of each study, "
     "shared among the workers.",
+    watch: "Example: optical-palpation watch scans study.toml --pattern '*.oct'. Cost: for a map "
+    "a second or less at 5,000 elements; of volumes, finding the layer comes first.",
     thickness: "Example: optical-palpation thickness loaded.oct --output loaded.nc --plot "
     "loaded.png. Cost: some seconds for 500 x 500 A-scans.",
     friction: "Example: optical-palpation friction profile.csv --layer-size 10 10 "

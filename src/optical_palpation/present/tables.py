@@ -1,12 +1,16 @@
-"""Tables of regions of interest, as CSV and as words."""
+"""Tables: regions of interest, as CSV and as words; results, a row for each."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import xarray as xr
 
+from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic
+from optical_palpation.present.profiles import on_layer
 
 
 def write_table(table: xr.Dataset, path: str | Path) -> None:
@@ -46,3 +50,34 @@ def table_in_words(table: xr.Dataset) -> str:
             parts.append(f"error {float(row['mean_error']):.2g} {units}")
         lines.append(f"  {name}: {', '.join(parts)}")
     return "\n".join(lines)
+
+
+def result_columns(result: StressResult) -> dict[str, Any]:
+    """Key figures of a result as entries of a table, units in the names of the columns.
+
+    Forces, mean and extremes of the axial stress by both methods, contact, what was filled, and the
+    parameters.
+    """
+    maps, about = on_layer(result.maps), result.maps.attrs
+    row: dict[str, Any] = {}
+    for side in ("window", "sample"):
+        row[f"{side}_force_mN"] = float(about[f"{side}_force_mN"])
+    for method, name in (("", "axial_stress"), ("algebraic_", "algebraic_axial_stress")):
+        stress = maps[name].values
+        row[f"{method}mean_axial_stress_kPa"] = float(np.nanmean(stress))
+        row[f"{method}first_percentile_axial_stress_kPa"] = float(np.nanpercentile(stress, 1))
+        row[f"{method}most_compressed_axial_stress_kPa"] = float(np.nanmin(stress))
+    state = maps["contact_state"].values
+    row["in_contact_fraction"] = float(np.mean(state != ContactState.OPEN))
+    row["filled_fraction"] = float(about.get("filled_share", 0.0))
+    row["mean_loaded_thickness_mm"] = float(maps["loaded_thickness"].mean())
+    for key in ("c10_kPa", "c01_kPa", "bulk_to_shear", "window_friction", "sample_friction"):
+        if key in about:
+            row[key] = float(about[key])
+    for key in ("window_contact", "sample_contact"):
+        if key in about:
+            row[key] = str(about[key])
+    for key in ("elements", "newton_iterations"):
+        if key in about:
+            row[key] = int(np.ravel(about[key])[0])
+    return row

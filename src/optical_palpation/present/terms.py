@@ -60,6 +60,7 @@ _TERMS = {
     "window_contact_state": Term("Contact with the window", "", "states", "states"),
     "loaded_thickness": Term("Loaded thickness", "mm", LENGTH, "thickness"),
     "initial_thickness": Term("Unloaded thickness", "mm", LENGTH, "thickness"),
+    "thickness": Term("Thickness of the layer", "mm", LENGTH, "thickness"),
     "filled": Term("Filled pixels", "", "flags", "flags"),
     "quality": Term("Quality of the boundaries", "", QUALITY, "quality"),
     "edge_influence": Term("Influence of the sides", "", ERROR, "edge_influence"),

@@ -116,7 +116,11 @@ def algebraic_of(study: Study, thickness: xr.Dataset) -> StressResult:
 
 
 def stress_of(
-    study: Study, thickness: xr.Dataset, progress: Callable[[Any], None] | None = None
+    study: Study,
+    thickness: xr.Dataset,
+    progress: Callable[[Any], None] | None = None,
+    *,
+    edge_check: bool = True,
 ) -> StressResult:
     """Tactile stress by the computational method.
 
@@ -126,7 +130,7 @@ def stress_of(
         Material, friction, grid and the motion of the sample.
     thickness
         As from :func:`thickness_of`.
-    progress
+    progress, edge_check
         As for :func:`~optical_palpation.palpation.computational_stress`.
 
     Raises
@@ -143,6 +147,7 @@ def stress_of(
         sample_friction=study.friction.sample,
         slip_length=study.friction.slip_length,
         sample_motion=sample_motion(study, loaded),
+        edge_check=edge_check,
         progress=progress,
         **study.grid.model_dump(),
     )

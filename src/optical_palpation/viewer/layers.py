@@ -32,6 +32,10 @@ COLOURS = {"window": "#56B4E9", "sample": "#E69F00", "filled": "#D55E00"}
 _LOOKED_AT = 5
 #: Width of a boundary on a B-scan, of the width of the B-scan.
 _LINE = 0.002
+#: Diameter of an anchor, likewise.
+_ANCHOR = 0.012
+#: Of regions; told apart from all of viridis and cividis.
+_REGION = "#FF3030"
 _MM = {2: ("mm", "mm"), 3: ("mm", "mm", "mm")}
 
 
@@ -256,7 +260,7 @@ def anchor_layer(corrections: Corrections, frame: Frame, side: str) -> Layer:
         "face_color": [COLOURS[a.boundary] for a in anchors] or COLOURS["sample"],
         "border_color": "white",
         "symbol": "disc",
-        "size": 3,
+        "size": _ANCHOR * frame.shape[2],
         "metadata": {KEY: {"kind": "anchors", "side": side}},
         "ndim": 3,
     }
@@ -344,8 +348,8 @@ def region_layer(regions: Sequence[Region] = ()) -> Layer:
         "shape_type": "polygon",
         "features": {"name": np.array(names, dtype=object)},
         "feature_defaults": {"name": ""},
-        "text": {"string": "{name}", "color": "white", "size": 10, "anchor": "center"},
-        "edge_color": "white",
+        "text": {"string": "{name}", "color": _REGION, "size": 11, "anchor": "center"},
+        "edge_color": _REGION,
         "face_color": "transparent",
         "edge_width": 0.03,
         "opacity": 1.0,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from qtpy.QtCore import Qt, Signal
-from qtpy.QtWidgets import QDoubleSpinBox, QHBoxLayout, QSlider, QWidget
+from qtpy.QtWidgets import QCheckBox, QDoubleSpinBox, QHBoxLayout, QSlider, QWidget
 
 _STEPS = 200
 _ABSENT = "?"
@@ -24,6 +24,8 @@ class Number(QWidget):
         Digits after the point.
     value
         To begin with; None where only the user knows.
+    word
+        What can be ticked instead of a number.
     """
 
     changed = Signal()
@@ -35,7 +37,8 @@ class Number(QWidget):
         reach: tuple[float, float],
         unit: str = "",
         decimals: int = 3,
-        value: float | None = None,
+        value: float | str | None = None,
+        word: str | None = None,
     ) -> None:
         super().__init__()
         self._reach = reach
@@ -48,31 +51,44 @@ class Number(QWidget):
         self._box.setSingleStep(max(step, (reach[1] - reach[0]) / 100))
         self._box.setSuffix(f" {unit}" if unit else "")
         self._box.setKeyboardTracking(False)
-        self._box.setFixedWidth(125)
+        self._box.setFixedWidth(140)
         self._slider = QSlider(Qt.Orientation.Horizontal)
         self._slider.setRange(0, _STEPS)
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
         row.addWidget(self._slider, 1)
         row.addWidget(self._box)
+        self._word = QCheckBox(word or "")
+        if word:
+            row.addWidget(self._word)
         self.set(value)
+        self._word.toggled.connect(self._typed)
         self._box.valueChanged.connect(self._typed)
         self._slider.valueChanged.connect(self._dragged)
 
-    def value(self) -> float | None:
-        """The number, None as long as there is none."""
+    def value(self) -> float | str | None:
+        """The number, or the word; None as long as there is none."""
+        if self._word.isChecked():
+            return self._word.text()
         value = self._box.value()
         return None if value <= self._absent else value
 
-    def set(self, value: float | None) -> None:
+    def set(self, value: float | str | None) -> None:
         """Show another number, without a signal; one of more digits than are shown is rounded."""
+        self._word.blockSignals(True)
+        self._word.setChecked(isinstance(value, str))
+        self._word.blockSignals(False)
         self._box.blockSignals(True)
-        self._box.setValue(self._absent if value is None else value)
+        self._box.setValue(value if isinstance(value, int | float) else self._absent)
         self._box.blockSignals(False)
         self._follow()
 
     def _follow(self) -> None:
         value = self.value()
+        for part in (self._box, self._slider):
+            part.setEnabled(not isinstance(value, str))
+        if isinstance(value, str):
+            return
         if value is not None:
             self._reach = min(self._reach[0], value), max(self._reach[1], value)
         low, high = self._reach

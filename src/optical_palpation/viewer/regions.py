@@ -137,7 +137,7 @@ class Regions(QGroupBox):
         self.table.setColumnCount(len(columns))
         units = [str(found[name].attrs.get("units", "1")) for name in columns]
         self.table.setHorizontalHeaderLabels(
-            [f"{_COLUMNS[n]} ({u})" if u not in ("1", "") else _COLUMNS[n]
+            [f"{_COLUMNS[n]}\n({u})" if u not in ("1", "") else _COLUMNS[n]
              for n, u in zip(columns, units, strict=True)]
         )  # fmt: skip
         self.table.setRowCount(found.sizes["region"])

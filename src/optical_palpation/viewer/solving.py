@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from qtpy.QtCore import QTimer
@@ -32,6 +33,8 @@ _SHOWN = (
     "algebraic_axial_stress",
     "axial_stress",
 )
+#: Shown with the layer that was found already, or of little use to the eye.
+_HIDDEN = ("loaded_thickness", "filled", "quality", "traction_z")
 _LAWS = {
     "mooney-rivlin": ("c10", "c01"),
     "neo-hookean": ("c10",),
@@ -56,8 +59,8 @@ class Solving(QGroupBox):
             "material.c01": Number(-1e5, 1e5, (0.0, 10.0), "kPa"),
             "material.c20": Number(-1e5, 1e5, (-1.0, 1.0), "kPa"),
             "material.c30": Number(-1e5, 1e5, (-1.0, 1.0), "kPa"),
-            "friction.window": Number(0.0, 2.0, (0.0, 1.0)),
-            "friction.sample": Number(0.0, 2.0, (0.0, 1.0)),
+            "friction.window": Number(0.0, 2.0, (0.0, 1.0), word="glued"),
+            "friction.sample": Number(0.0, 2.0, (0.0, 1.0), word="glued"),
             "grid.element_size": Number(0.001, 10.0, (0.05, 0.5), "mm", 4),
         }
         labels = {"window": "friction, window", "sample": "friction, sample"}
@@ -80,6 +83,7 @@ class Solving(QGroupBox):
         form.addRow(self.outcome)
         self._form = form
         self._glued: set[str] = set()  # faces that the study says are glued
+        self._shown: list[Any] = []
         self._size: Any = None  # three element sizes as the study gives them, or None
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
@@ -115,7 +119,7 @@ class Solving(QGroupBox):
             changes["grid.element_size"] = size
         self._bench.session.change(changes)
 
-    def solve(self) -> None:
+    def solve(self, edge_check: bool = True) -> None:
         """Compute the stress in the background, and show it."""
         bench = self._bench
         try:
@@ -125,16 +129,19 @@ class Solving(QGroupBox):
             bench.said.emit(str(error))
             return
         session = bench.session
-        bench.background.run(session.solve, self._show_result)
+        bench.background.run(
+            lambda tell: session.solve(tell, edge_check=edge_check), self._show_result
+        )
 
     def _show_result(self, result: StressResult) -> None:
         bench = self._bench
         first = bench.result is None
         bench.result = result
-        layers = map_layers(result.maps, only=_SHOWN)
+        others = [str(name) for name in result.maps.data_vars if name not in _SHOWN + _HIDDEN]
+        layers = map_layers(result.maps, only=[*others, *_SHOWN])
         for layer in layers[:-1]:
             layer.keywords["visible"] = False
-        bench.show(layers)
+        self._forget(keep=bench.show(layers))
         if not list(bench.layers("regions")):
             bench.show([region_layer()])
         if first:
@@ -147,13 +154,20 @@ class Solving(QGroupBox):
         )
         bench.solved.emit()
 
+    def _forget(self, keep: Sequence[Any]) -> None:
+        """Remove the maps of an earlier result that this one has not."""
+        for layer in self._shown:
+            if layer not in keep and layer in self._bench.viewer.layers:
+                self._bench.viewer.layers.remove(layer)
+        self._shown = list(keep)
+
     def _changed(self) -> None:
         if self.live.isChecked():
             self._timer.start()
 
     def _solve_if_live(self) -> None:
         if self.live.isChecked():
-            self.solve()
+            self.solve(edge_check=False)
 
     def _show_law(self) -> None:
         used = _LAWS[self.law.currentText()]
@@ -179,5 +193,6 @@ class Solving(QGroupBox):
                 self._glued.add(name)
                 value = None
             number.set(value)
+        self._forget(keep=())
         self.live.setChecked(live)
         self.outcome.setText("")

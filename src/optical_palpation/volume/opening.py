@@ -114,13 +114,13 @@ def open_volume(
         raise
 
 
-def is_known(path: Path) -> bool:
-    """Tell by its first bytes whether a file, or a folder, is of a format of volumes."""
+def is_known(path: Path, readers: Sequence[Reader] = READERS) -> bool:
+    """Tell by its first bytes whether a file, or a folder, is of a format that can be read."""
     try:
         head = _head(path)
     except InputError:
         return False
-    return any(reader.recognises(path, head) for reader in READERS)
+    return any(reader.recognises(path, head) for reader in readers)
 
 
 def open_contents(

@@ -1,0 +1,181 @@
+"""Live use: the map after a change of one parameter, and maps that arrive in a folder.
+
+    python benchmarks/live.py              a table, and docs/live.md with it
+    python benchmarks/live.py --changes 5  quicker; writes nothing
+
+Parameters of a coin's map (``../shared/data`` where it is, else one that is made) change one after
+the other, 50 times: both frictions, the material, the thickness of the unloaded layer. The last map
+is compared with that of a process of its own. Then as many maps arrive in a watched folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+import performance
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation import computational_stress
+from optical_palpation.thickness import thickness_map, write_thickness_map
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "live.md"
+BEGIN, END = "<!-- measured by benchmarks/live.py -->", "<!-- end -->"
+SIZES = {0.25: 0.15, 0.125: 0.4}  # mm, and the seconds aimed at on four cores
+RATE = 4.0  # maps a second at 0.25 mm, likewise
+
+STUDY = """
+[unloaded]
+thickness = {thickness}
+[loaded]
+map = "none.nc"
+[material]
+c10 = 2.23
+c01 = 0.703
+[friction]
+window = 0.15
+sample = 0.1
+[grid]
+element_size = {size}
+"""
+
+
+def coin():
+    """Loaded thickness of the coin at the resolution at which it is solved, 5 x 5 mm."""
+    return performance.loaded_thickness(performance.FIELD)
+
+
+def changes(count):
+    """Parameters after each of `count` changes of one of them."""
+    random = np.random.default_rng(7)
+    now = {"window": 0.15, "sample": 0.1, "c10": 2.23, "thickness": performance.THICKNESS}
+    ranges = {
+        "window": (0.05, 0.4),
+        "sample": (0.02, 0.3),
+        "c10": (1.5, 3.5),
+        "thickness": (0.5, 0.52),
+    }
+    for _ in range(count):
+        key = random.choice(list(ranges))
+        now[key] = round(float(random.uniform(*ranges[key])), 4)
+        yield dict(now)
+
+
+def solve(loaded, size, given, threads):
+    """The map of these parameters, from the unloaded layer."""
+    return computational_stress(
+        loaded,
+        given["thickness"],
+        MooneyRivlin(given["c10"], 0.703),
+        window_friction=given["window"],
+        sample_friction=given["sample"],
+        element_size=size,
+        threads=threads,
+        edge_check=False,  # as the plugin does
+    )
+
+
+def chain(loaded, size, count, threads):
+    """Seconds and processor seconds of each change; the last map against one made alone."""
+    solve(loaded, size, next(changes(1)), threads)  # kernels
+    seconds, busy, result, last = [], [], None, {}
+    for last in changes(count):
+        start, cpu = time.perf_counter(), time.process_time()
+        result = solve(loaded, size, last, threads)
+        seconds.append(time.perf_counter() - start)
+        busy.append(time.process_time() - cpu)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "alone.npy"
+        code = (
+            "import sys, numpy as np; sys.path.insert(0, sys.argv[1]); import live\n"
+            f"r = live.solve(live.coin(), {size}, {last!r}, {threads!r})\n"
+            "np.save(sys.argv[2], r.maps['axial_stress'].values)"
+        )
+        subprocess.run([sys.executable, "-c", code, Path(__file__).parent, file], check=True)
+        alone = np.load(file)
+    stress = result.maps["axial_stress"].values
+    off = np.sqrt(np.nanmean((stress - alone) ** 2) / np.nanmean(alone**2))
+    elements = int(np.prod(result.maps.attrs["elements"]))
+    return np.array(seconds), np.array(busy), float(off), elements
+
+
+def arriving(loaded, size, count, threads):
+    """Seconds of each map that arrives in a folder, until its result and the table are written."""
+    from optical_palpation.study.watch import Watch
+
+    seconds = []
+    with tempfile.TemporaryDirectory() as folder:
+        here = Path(folder)
+        (here / "in").mkdir()
+        (here / "study.toml").write_text(STUDY.format(size=size, thickness=performance.THICKNESS))
+        watch = Watch(here / "study.toml", here / "in", settle=0.0, threads=threads)
+        watch.prepare()
+        random = np.random.default_rng(1)
+        for number in range(count):
+            noisy = loaded.values + 5e-4 * random.standard_normal(loaded.shape)
+            field = thickness_map(noisy, x=loaded["x"].values, y=loaded["y"].values)
+            path = here / "in" / f"{number}.nc"
+            write_thickness_map(field.to_dataset(name="thickness"), path)
+            watch.arrived()
+            while not watch.arrived():
+                time.sleep(0.001)
+            arrival = watch.solve(path)
+            if arrival.status != "done":
+                raise RuntimeError(arrival.message)
+            seconds.append(arrival.seconds)
+    return np.array(seconds[1:])
+
+
+def table(count, threads):
+    """The table of the page, in Markdown."""
+    loaded = coin()
+    load = psutil.getloadavg()[0]
+    columns = (
+        "elements",
+        "change of one parameter: median (s)",
+        "90 % below (s)",
+        "processor time: median (s)",
+        "aim on 4 cores (s)",
+        f"after {count} changes, against from scratch",
+        "map in a folder: median (s)",
+    )
+    lines = [_row(columns), _row("---" for _ in columns)]
+    for size, aim in SIZES.items():
+        seconds, busy, off, elements = chain(loaded, size, count, threads)
+        folder = arriving(loaded, size, max(count // 2, 2), threads)
+        numbers = np.median(seconds), np.percentile(seconds, 90), np.median(busy), aim
+        cells = [f"{1000 * size:.0f} um ({elements:,})", *(f"{n:.2f}" for n in numbers)]
+        lines.append(_row([*cells, f"{100 * off:.2g} %", f"{np.median(folder):.2f}"]))
+        print(lines[-1], flush=True)
+    used = threads or len(psutil.Process().cpu_affinity())
+    with_others = ", so others ran beside it" if load > 0.5 else ""
+    lines += [
+        "",
+        f"{used} thread{'s' if used > 1 else ''} of {psutil.cpu_count()} cores, load {load:.1f} "
+        f"before the measurement{with_others}. Aimed at in the folder: {1 / RATE:.2f} s at 250 um, "
+        "on four cores.",
+    ]
+    return "\n".join(lines)
+
+
+def _row(cells):
+    return f"| {' | '.join(cells)} |"
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--changes", type=int, default=50)
+    parser.add_argument("--threads", type=int)
+    asked = parser.parse_args()
+    found = table(asked.changes, asked.threads)
+    print(found)
+    if asked.changes >= 50:
+        text = PAGE.read_text(encoding="utf-8")
+        before, after = text.split(BEGIN)[0], text.split(END)[1]
+        PAGE.write_text(f"{before}{BEGIN}\n\n{found}\n\n{END}{after}", encoding="utf-8")

@@ -1,0 +1,120 @@
+"""``optical-palpation watch``: the stress of each volume or map that arrives in a folder."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from optical_palpation.cli.progress import ProgressDisplay
+
+
+def watch(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where volumes or maps arrive.")],
+    study: Annotated[
+        Path,
+        typer.Argument(
+            metavar="STUDY",
+            help="Study file (.toml) that says all but the loaded layer; each file that arrives "
+            "takes the place of its loaded volume or map.",
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Result folder; FOLDER-stress beside the watched one by default.",
+            show_default=False,
+        ),
+    ] = None,
+    pattern: Annotated[
+        str, typer.Option(metavar="PATTERN", help="Names of the files that count.")
+    ] = "*",
+    settle: Annotated[
+        float,
+        typer.Option(
+            metavar="SECONDS", help="A file is complete once it has not changed for so long.", min=0
+        ),
+    ] = 1.0,
+    idle: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Stop once nothing has arrived for so long; Ctrl-C stops it anyhow.",
+            min=0,
+            show_default=False,
+        ),
+    ] = None,
+    edge_check: Annotated[
+        bool,
+        typer.Option(
+            "--edge-check",
+            help="Also compute how much the sides of the layer matter; takes about as long again.",
+        ),
+    ] = False,
+    threads: Annotated[
+        int | None, typer.Option(metavar="NUMBER", help="Number of threads.", min=1)
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but failures.")] = False,
+) -> None:
+    """Compute the stress of each volume or map as it arrives in a folder, until Ctrl-C.
+
+    Every file gets a result, FILE.stress.nc, and a row in arrived.csv. One that fails is told and
+    does not stop the watch; it is tried again if it changes.
+    """
+    from optical_palpation.study.watch import TABLE, Watch
+
+    watching = Watch(
+        study,
+        folder,
+        output,
+        pattern=pattern,
+        settle=settle,
+        edge_check=edge_check,
+        threads=threads,
+    )
+    counts = {"done": 0, "failed": 0, "earlier": 0}
+    try:
+        started = time.monotonic()
+        with ProgressDisplay(quiet) as progress:
+            watching.prepare(progress)
+        if not quiet:
+            print(
+                f"watching {folder}, ready after {time.monotonic() - started:.1f} s; Ctrl-C stops",
+                flush=True,
+            )
+        last = time.monotonic()
+        while idle is None or time.monotonic() < last + idle:
+            for path in watching.arrived():
+                arrival = watching.solve(path)
+                counts[arrival.status] += 1
+                _tell(arrival, quiet)
+                last = time.monotonic()
+            time.sleep(min(0.1, max(settle / 4, 0.02)))
+    except KeyboardInterrupt:
+        pass
+    if not quiet:
+        earlier = f", {counts['earlier']} by an earlier watch" if counts["earlier"] else ""
+        print(f"{counts['done']} done{earlier}, {counts['failed']} failed")
+        if sum(counts.values()):
+            print(watching.output / TABLE)
+
+
+def _tell(arrival: object, quiet: bool) -> None:
+    from optical_palpation.study.watch import Arrival
+
+    assert isinstance(arrival, Arrival)
+    if arrival.status == "failed":
+        print(f"{arrival.file}: failed: {arrival.message}", flush=True)
+    elif not quiet:
+        row = arrival.row
+        said = (
+            f"{arrival.file}: force {float(row['sample_force_mN']):.4g} mN, mean axial stress "
+            f"{float(row['mean_axial_stress_kPa']):.4g} kPa"
+        )
+        took = " (earlier)" if arrival.status == "earlier" else f", {arrival.seconds:.2f} s"
+        print(said + took, flush=True)
+        if row.get("warnings"):
+            print(f"WARNING: {arrival.file}: {row['warnings']}", flush=True)

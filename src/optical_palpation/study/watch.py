@@ -1,0 +1,298 @@
+"""Watching a folder: each volume or map that arrives there gets its stress.
+
+The study says everything but the loaded layer. What does not depend on that is made once: kernels
+are loaded, the unloaded layer is found, before the first file arrives.
+"""
+
+from __future__ import annotations
+
+import time
+import tomllib
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from optical_palpation import present
+from optical_palpation.errors import InputError, OpticalPalpationError, OutputError
+from optical_palpation.files import readable_name, replacing
+from optical_palpation.palpation import computational_stress
+from optical_palpation.palpation.result import StressResult
+from optical_palpation.present.tables import result_columns
+from optical_palpation.runtime import software_version
+from optical_palpation.study.compute import algebraic_of, stress_of, thickness_of
+from optical_palpation.study.inputs import (
+    Unchanged,
+    described,
+    file_state,
+    find_boundaries,
+    finding,
+    open_input,
+)
+from optical_palpation.study.plausible import check_study
+from optical_palpation.study.reading import read_study
+from optical_palpation.study.record import Progress, sha256
+from optical_palpation.study.schema import MapInput, Study, VolumeInput
+from optical_palpation.study.stages import warnings_about
+from optical_palpation.thickness import thickness_map
+from optical_palpation.volume.opening import MAP_READERS, READERS, is_known
+
+#: The table, in the result folder.
+TABLE = "arrived.csv"
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """What became of a file that arrived.
+
+    Attributes
+    ----------
+    file
+        Its name in the folder.
+    status
+        ``done``, ``earlier`` (the table has it from an earlier watch) or ``failed``.
+    message
+        Why it failed.
+    row
+        Its entries in the table, by column.
+    seconds
+        From the moment it was found complete to the written result.
+    """
+
+    file: str
+    status: str
+    message: str = ""
+    row: dict[str, Any] = field(default_factory=dict)
+    seconds: float = 0.0
+
+
+class Watch:
+    """Computes the stress of files as they arrive in a folder.
+
+    Parameters
+    ----------
+    study
+        Study file; its loaded layer, a volume or a map, is replaced by the files that arrive and
+        need not be there.
+    folder
+        The folder to watch.
+    output
+        Where results and the table go; by default ``FOLDER-stress`` beside the folder.
+    pattern
+        Names of the files that count, as a shell would write it, ``*.oct``.
+    settle
+        Seconds for which a file must not change before it counts as complete.
+    edge_check
+        Whether to compute how much the sides of the layer matter, which takes about as long again.
+    threads
+        Number of threads; as the study says by default.
+
+    Raises
+    ------
+    InputError
+        If the study or the folder cannot be used.
+    OutputError
+        If the result folder cannot be made, or is the watched one.
+    """
+
+    def __init__(
+        self,
+        study: str | Path,
+        folder: str | Path,
+        output: str | Path | None = None,
+        *,
+        pattern: str = "*",
+        settle: float = 1.0,
+        edge_check: bool = False,
+        threads: int | None = None,
+    ) -> None:
+        self._file, self._folder = Path(study), Path(folder)
+        if not self._folder.is_dir():
+            raise InputError(f"{folder}: there is no such folder to watch")
+        beside = self._folder.resolve()
+        self.output = Path(output) if output else beside.with_name(f"{beside.name}-stress")
+        if self.output.resolve() == beside:
+            raise OutputError(f"{output}: is the watched folder; results would arrive in it")
+        try:
+            self.output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{self.output}: cannot be made ({error.strerror})") from error
+        self._settle, self._pattern, self._edge_check = settle, pattern, edge_check
+        self._changes: dict[str, Any] = {} if threads is None else {"grid.threads": threads}
+        # until a file arrives, the study file stands for it
+        self._study = read_study(self._file, self._changes | self._loaded(self._file))
+        self._unloaded: xr.Dataset | None = None
+        self._unloaded_facts: dict[str, Any] = {}
+        self._unloaded_state: object = None
+        self._seen: dict[Path, tuple[object, float]] = {}
+        self._handled: dict[Path, object] = {}
+        self._rows: dict[str, dict[str, Any]] = self._read_table()
+
+    def prepare(self, progress: Callable[[Any], None] | None = None) -> None:
+        """Find the unloaded layer, and load or compile the kernels.
+
+        Raises
+        ------
+        InputError, MaterialError
+            If the unloaded layer or the material cannot be used.
+        """
+        study, source = self._study, self._study.unloaded
+        if isinstance(source, VolumeInput):
+            self._unloaded_state = file_state(study.path(source.volume))
+            fixes = study.path(source.corrections) if source.corrections else None
+
+            def tell(share: float) -> None:
+                if progress:
+                    progress(Progress("boundaries of the unloaded layer", share))
+
+            with open_input(study, source) as volume:
+                self._unloaded_facts = {"sha256": volume.sha256, "metadata": described(volume)}
+                self._unloaded = find_boundaries(volume, finding(source), fixes, tell)
+        size = study.grid.element_size
+        x, y, z = size if isinstance(size, tuple) else (size, size, size)
+        at = np.linspace(0, 1, 33)
+        bump = 1.0 - 0.1 * np.exp(-((at - 0.5) ** 2 + (at[:, None] - 0.5) ** 2) / 0.05)
+        depth = 4 * z
+        small = thickness_map(0.95 * depth * bump, field_of_view=(12 * x, 12 * y))
+        with suppress(OpticalPalpationError):  # a trial: what is wrong, the first file tells
+            computational_stress(
+                small, depth, study.material.make(), window_friction=study.friction.window,
+                sample_friction=study.friction.sample, element_size=(x, y, z),
+                edges=study.grid.edges, threads=study.grid.threads, progress=progress,
+                edge_check=self._edge_check,
+            )  # fmt: skip
+
+    def arrived(self) -> list[Path]:
+        """Files that are complete and have not been worked on as they are, oldest first."""
+        now = time.monotonic()
+        try:
+            there = [path for path in self._folder.iterdir() if not path.name.startswith(".")]
+        except OSError as error:
+            raise InputError(f"{self._folder}: cannot be read ({error.strerror})") from error
+        complete = []
+        for path in there:
+            if path.resolve() in (self.output.resolve(), self._file.resolve()):
+                continue
+            if not path.match(self._pattern):
+                continue
+            state = file_state(path)
+            if not state or self._handled.get(path) == state:
+                continue
+            before = self._seen.get(path)
+            if before is None or before[0] != state:
+                self._seen[path] = state, now
+            elif now >= before[1] + self._settle and self._recognised(path):
+                complete.append((max(changed for *_, changed in state), path))
+        return [path for _, path in sorted(complete)]
+
+    def solve(self, path: Path, progress: Callable[[Any], None] | None = None) -> Arrival:
+        """Compute the stress of a file that has arrived, write it, and add it to the table.
+
+        What is wrong with the file is told and not raised.
+
+        Raises
+        ------
+        OutputError
+            If the result or the table cannot be written.
+        """
+        started = time.monotonic()
+        self._handled[path] = file_state(path)
+        row: dict[str, Any] = {"file": readable_name(path)}
+        try:
+            study = read_study(self._file, self._changes | self._loaded(path))
+            unchanged = Unchanged(study)
+            self._check_unloaded(study)
+            row |= {"sha256": _sha256(path, study), "study_sha256": self._study.sha256}
+            row["software_version"] = software_version()
+            known = self._rows.get(row["file"], {})
+            same = all(str(known.get(key)) == value for key, value in row.items())
+            if same and known["status"] == "done" and self._result(path).is_file():
+                return Arrival(row["file"], "earlier", row=known)
+            result = self._stress(study, progress)
+            unchanged()
+            present.write_result(result, self._result(path))
+            row |= {"status": "done", "message": "", **result_columns(result)}
+            row["warnings"] = "; ".join(warnings_about(result))
+        except OutputError:
+            raise
+        except OpticalPalpationError as error:
+            message = str(error).replace(f"{self._file}: ", "").replace(f"{self._file}, ", "")
+            row |= {"status": "failed", "message": message}
+            self._result(path).unlink(missing_ok=True)
+        seconds = time.monotonic() - started
+        row |= {
+            "seconds": round(seconds, 3),
+            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+        self._rows[row["file"]] = row
+        self._write_table()
+        return Arrival(row["file"], row["status"], row["message"], row, seconds)
+
+    def _stress(self, study: Study, progress: Callable[[Any], None] | None) -> StressResult:
+        found, inputs = {}, {}
+        if self._unloaded is not None:
+            found["unloaded"], inputs["unloaded"] = self._unloaded, self._unloaded_facts
+        if isinstance(study.loaded, VolumeInput):
+            with open_input(study, study.loaded) as volume:
+                inputs["loaded"] = {"metadata": described(volume)}
+                found["loaded"] = find_boundaries(volume, finding(study.loaded))
+        check_study(study, inputs)
+        thickness = thickness_of(study, found)
+        algebraic_of(study, thickness)  # refuses what no layer can take
+        return stress_of(study, thickness, progress, edge_check=self._edge_check)
+
+    def _check_unloaded(self, study: Study) -> None:
+        source = study.unloaded
+        if isinstance(source, VolumeInput):
+            if self._unloaded is None:
+                self.prepare()
+            path = study.path(source.volume)
+            if file_state(path) != self._unloaded_state:
+                raise InputError(f"{path} has changed: start the watch again")
+
+    def _loaded(self, path: Path) -> dict[str, Any]:
+        """Changes that put a file in place of the loaded layer of the study."""
+        try:
+            given = tomllib.loads(self._file.read_text(encoding="utf-8")).get("loaded", {})
+        except (OSError, ValueError):
+            return {}  # read_study tells what is wrong with the file
+        key = "map" if "map" in given else "volume"
+        # corrections belong to the volume that they were made for
+        return {f"loaded.{key}": str(path.resolve()), "loaded.corrections": None}
+
+    def _recognised(self, path: Path) -> bool:
+        readers = MAP_READERS if isinstance(self._study.loaded, MapInput) else READERS
+        return is_known(path, readers)
+
+    def _result(self, path: Path) -> Path:
+        return self.output / f"{readable_name(path)}.stress.nc"
+
+    def _read_table(self) -> dict[str, dict[str, Any]]:
+        try:
+            table = pd.read_csv(self.output / TABLE, dtype=str, keep_default_na=False)
+            return {str(row["file"]): row for row in table.to_dict("records")}  # type: ignore[misc]
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError, KeyError) as error:
+            raise OutputError(
+                f"{self.output / TABLE}: is no table of an earlier watch ({error}); choose another "
+                "--output"
+            ) from error
+
+    def _write_table(self) -> None:
+        with replacing(self.output / TABLE) as temporary:
+            pd.DataFrame(list(self._rows.values())).to_csv(temporary, index=False)
+
+
+def _sha256(path: Path, study: Study) -> str:
+    if path.is_dir():
+        assert isinstance(study.loaded, VolumeInput)  # maps are files
+        with open_input(study, study.loaded) as volume:
+            return volume.sha256
+    return sha256(path)

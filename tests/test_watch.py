@@ -1,0 +1,199 @@
+"""Watching a folder: what is complete is solved once, what fails is told, Ctrl-C ends it."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from optical_palpation.errors import InputError, OutputError
+from optical_palpation.study import read_study, run_study
+from optical_palpation.study.watch import TABLE, Watch
+from study_case import STUDY, make_study, make_volumes
+
+OF_MAPS = """
+[unloaded]
+thickness = 0.5
+
+[loaded]
+map = "first.npy"
+pixel_spacing = [0.05, 0.05]
+
+[material]
+c10 = 2.23
+c01 = 0.703
+
+[friction]
+window = 0.15
+sample = 0.05
+
+[grid]
+element_size = 0.25
+threads = 1
+"""
+
+
+def pressed(depth):
+    x = np.linspace(-1, 1, 41)
+    return 0.46 - depth * np.exp(-(x**2 + x[:, None] ** 2) / 0.3)
+
+
+@pytest.fixture
+def maps(tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "study.toml").write_text(OF_MAPS)
+    return tmp_path
+
+
+def table(folder):
+    return pd.read_csv(folder / TABLE, keep_default_na=False).set_index("file")
+
+
+def all_arrived(watch, seconds=20):
+    end = time.monotonic() + seconds
+    while not (found := watch.arrived()):
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    return found
+
+
+def test_a_map_that_arrives_has_the_stress_that_run_gives(maps):
+    watch = Watch(maps / "study.toml", maps / "in", settle=0.05, pattern="*.npy", edge_check=True)
+    np.save(maps / "in" / "first.npy", pressed(0.03))
+    (maps / "in" / "notes.txt").write_text("not a map")
+    (path,) = all_arrived(watch)
+    done = watch.solve(path)
+    assert (done.file, done.status, done.message) == ("first.npy", "done", "")
+    assert watch.arrived() == []
+    changes = {"loaded.map": str(path), "outputs.write": []}
+    by_run = run_study(read_study(maps / "study.toml", changes))
+    expected = xr.load_dataset(by_run.folder / "stress.nc", engine="h5netcdf")
+    found = xr.load_dataset(maps / "in-stress" / "first.npy.stress.nc", engine="h5netcdf")
+    assert "edge_influence" in expected
+    for name in expected.data_vars:
+        assert np.array_equal(found[name], expected[name], equal_nan=found[name].dtype.kind == "f")
+    row = table(maps / "in-stress").loc["first.npy"]
+    assert row["sample_force_mN"] == pytest.approx(expected.attrs["sample_force_mN"])
+    assert row["status"] == "done"
+
+
+def test_half_a_file_is_waited_for(maps):
+    watch = Watch(maps / "study.toml", maps / "in", settle=2.0)
+    np.save(maps / "whole.npy", pressed(0.03))
+    content = (maps / "whole.npy").read_bytes()
+    target = maps / "in" / "slow.npy"
+    with target.open("wb") as stream:
+        for part in range(5):
+            stream.write(content[part * len(content) // 5 : (part + 1) * len(content) // 5])
+            stream.flush()
+            assert watch.arrived() == []
+            time.sleep(0.1)
+    assert all_arrived(watch) == [target]
+    assert watch.solve(target).status == "done"
+
+
+def test_a_failure_is_told_and_tried_again_when_the_file_changes(maps):
+    watch = Watch(maps / "study.toml", maps / "in", settle=0.05)
+    np.save(maps / "in" / "a.npy", pressed(0.03) * 1000)
+    np.save(maps / "in" / "b.npy", pressed(0.04))
+    outcomes = {p.name: watch.solve(p) for p in all_arrived(watch)}
+    while len(outcomes) < 2:
+        outcomes |= {p.name: watch.solve(p) for p in all_arrived(watch)}
+    assert outcomes["a.npy"].status == "failed"
+    assert "um" in outcomes["a.npy"].message
+    assert outcomes["b.npy"].status == "done"
+    assert not (maps / "in-stress" / "a.npy.stress.nc").exists()
+    np.save(maps / "in" / "a.npy", pressed(0.03))
+    assert watch.solve(all_arrived(watch)[0]).status == "done"
+    assert set(table(maps / "in-stress")["status"]) == {"done"}
+    # another watch takes up what is there, unless it has changed
+    np.save(maps / "in" / "b.npy", pressed(0.05))
+    again = Watch(maps / "study.toml", maps / "in", settle=0.0)
+    again.arrived()
+    status = {p.name: again.solve(p).status for p in all_arrived(again)}
+    assert status == {"a.npy": "earlier", "b.npy": "done"}
+    other = (maps / "study.toml").read_text().replace("window = 0.15", "window = 0.2")
+    (maps / "study.toml").write_text(other)
+    changed = Watch(maps / "study.toml", maps / "in", settle=0.0)
+    changed.arrived()
+    assert {changed.solve(p).status for p in all_arrived(changed)} == {"done"}
+
+
+def test_volumes_against_an_unloaded_one_that_is_found_once(tmp_path):
+    make_volumes(tmp_path)
+    (tmp_path / "in").mkdir()
+    make_study(tmp_path, STUDY.replace('volume = "loaded.npy"', 'volume = "not-yet-there.npy"'))
+    watch = Watch(tmp_path / "study.toml", tmp_path / "in", tmp_path / "out", settle=0.0)
+    stages = set()
+    watch.prepare(lambda report: stages.add(report.stage))
+    assert "boundaries of the unloaded layer" in stages
+    shutil.copy(tmp_path / "loaded.npy", tmp_path / "in" / "scan.npy")
+    watch.arrived()
+    done = watch.solve(all_arrived(watch)[0])
+    assert done.status == "done", done.message
+    changes = {"loaded.volume": "loaded.npy", "outputs.write": []}
+    by_run = run_study(read_study(tmp_path / "study.toml", changes))
+    expected = xr.load_dataset(by_run.folder / "stress.nc", engine="h5netcdf")
+    found = xr.load_dataset(tmp_path / "out" / "scan.npy.stress.nc", engine="h5netcdf")
+    assert np.array_equal(found["axial_stress"], expected["axial_stress"])
+    np.save(tmp_path / "unloaded.npy", np.load(tmp_path / "unloaded.npy") * 2)
+    os.utime(tmp_path / "in" / "scan.npy", (1, 1))
+    watch.arrived()
+    late = watch.solve(all_arrived(watch)[0])
+    assert late.status == "failed"
+    assert "start the watch again" in late.message
+
+
+def test_what_cannot_be_watched_is_refused(maps):
+    with pytest.raises(InputError, match="no such folder"):
+        Watch(maps / "study.toml", maps / "nowhere")
+    with pytest.raises(OutputError, match="watched folder"):
+        Watch(maps / "study.toml", maps / "in", maps / "in")
+    with pytest.raises(InputError, match="no such file"):
+        Watch(maps / "none.toml", maps / "in")
+    (maps / "out").mkdir()
+    (maps / "out" / TABLE).write_text("a,b\n1,2\n")
+    with pytest.raises(OutputError, match="no table of an earlier watch"):
+        Watch(maps / "study.toml", maps / "in", maps / "out")
+
+
+def test_the_command_tells_each_file_and_ends_with_ctrl_c(maps):
+    command = [sys.executable, "-m", "optical_palpation", "watch", "in", "study.toml"]
+    np.save(maps / "in" / "bad.npy", np.full((9, 9), -1.0))
+    process = subprocess.Popen(
+        [*command, "--settle", "0.1"],
+        cwd=maps,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    try:
+        assert "ready after" in process.stdout.readline()
+        assert process.stdout.readline().startswith("bad.npy: failed: ")
+        np.save(maps / "in" / "good.npy", pressed(0.03))
+        assert process.stdout.readline().startswith("good.npy: force ")
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 0, err
+    # Ctrl-C in the middle of a print may repeat that line
+    assert out.splitlines()[-2:] == [
+        "1 done, 1 failed",
+        str((maps / "in-stress" / TABLE).resolve()),
+    ]
+    assert sorted(p.name for p in (maps / "in-stress").iterdir()) == [
+        TABLE,
+        "good.npy.stress.nc",
+    ]
+    again = subprocess.run(
+        [*command, "--settle", "0", "--idle", "0.5"], cwd=maps, capture_output=True, text=True
+    )
+    assert again.returncode == 0, again.stderr
+    assert "1 by an earlier watch, 1 failed" in again.stdout
