@@ -2,7 +2,8 @@
 
 ``import optical_palpation as op`` gives the names below; each is loaded when it is first used. More
 live in the subpackages ``volume``, ``thickness``, ``material``, ``palpation``, ``friction``,
-``analysis``, ``present``, ``study``, ``batch`` and ``experiment``; errors in ``errors``.
+``stiffness``, ``analysis``, ``present``, ``study``, ``batch`` and ``experiment``; errors in
+``errors``.
 """
 
 from __future__ import annotations
@@ -82,8 +83,11 @@ _SUBPACKAGES = {
     "material",
     "palpation",
     "present",
+    "stiffness",
+    "study",
+    "thickness",
+    "volume",
 }
-_SUBPACKAGES |= {"study", "thickness", "volume"}
 
 
 def __getattr__(name: str) -> Any:
