@@ -8,9 +8,15 @@ from typing import Any
 
 import xarray as xr
 
-from optical_palpation.analysis.uncertainty import Noise, propagate_uncertainty
+from optical_palpation.analysis.uncertainty import (
+    Noise,
+    combined_uncertainty,
+    linear_uncertainty,
+    propagate_uncertainty,
+)
 from optical_palpation.material import Law
 from optical_palpation.palpation.computational import Hold, Progress, computational_stress
+from optical_palpation.palpation.input_errors import InputErrors
 from optical_palpation.palpation.result import StressResult
 
 
@@ -32,9 +38,9 @@ def stress_uncertainty(
 ) -> xr.Dataset:
     """Propagate errors of the inputs to the computational stress and the total force.
 
-    The error bars of section 5 of the paper, as maps: each error that is not zero costs two solves
-    (noise, two for each probe). Each follows the load from the unloaded layer, because friction
-    remembers the path.
+    The error bars of section 5 of the paper, as maps. Errors common to the whole map follow from
+    the sensitivities of the solution; noise costs two solves for each probe. Where a solution has
+    no sensitivities, every error costs two solves.
 
     Parameters
     ----------
@@ -87,7 +93,7 @@ def stress_uncertainty(
         for name, error in given.items()
         if error and not (isinstance(values[name], str) and values[name] == "glued")
     }
-    solves = sum(2 * (e.probes if isinstance(e, Noise) else 1) for e in errors.values())
+    solves = sum(2 * e.probes for e in errors.values() if isinstance(e, Noise))
     solves += nominal is None
     count = 0
 
@@ -115,8 +121,18 @@ def stress_uncertainty(
             window_friction=window_friction,
             sample_friction=sample_friction,
             edge_check=nominal is None and count == 1,
+            input_errors=InputErrors() if nominal is None and count == 1 else None,
             progress=report,
             **options,
         )
 
-    return propagate_uncertainty(solve, values, errors, nominal=nominal)
+    here = solve(**values) if nominal is None else nominal
+    known = here.sensitivities
+    if known is None or known.attrs["failure"]:
+        return propagate_uncertainty(solve, values, errors, nominal=here)
+    common = {name: e for name, e in errors.items() if not isinstance(e, Noise)}
+    noise = {name: e for name, e in errors.items() if isinstance(e, Noise)}
+    parts = [linear_uncertainty(here, common)] if common else []
+    if noise:
+        parts.append(propagate_uncertainty(solve, values, noise, nominal=here))
+    return combined_uncertainty(parts)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -159,6 +159,65 @@ def propagate_uncertainty(
         },
         attrs={"force_mN": force, "force_error_mN": float(np.linalg.norm(forces))},
     )
+
+
+def linear_uncertainty(result: StressResult, errors: Mapping[str, float]) -> xr.Dataset:
+    """Propagate errors by the sensitivities of a result.
+
+    Parameters
+    ----------
+    result
+        A result with ``sensitivities``.
+    errors
+        Error of each input.
+
+    Returns
+    -------
+    xarray.Dataset
+        As from :func:`propagate_uncertainty`; ``nonlinearity`` is not known.
+
+    Raises
+    ------
+    InputError
+        If the result has no sensitivity to an input.
+    """
+    known = result.sensitivities
+    names = [] if known is None else known["input"].values.tolist()
+    if known is None or (absent := set(errors) - set(names)) or not errors:
+        raise InputError(
+            f"sensitivities to {', '.join(names) or 'nothing'}: none to "
+            f"{', '.join(sorted(absent)) if known is not None else 'any input'}"
+        )
+    stress, force = _stress_and_force(result)
+    each = xr.DataArray(list(errors.values()), {"input": list(errors)}, ("input",))
+    known = known.sel(input=list(errors))
+    contribution = abs(known["axial_stress"] * each).drop_vars("unit", errors="ignore")
+    forces = abs(known["force"] * each).values
+    total = (contribution**2).sum("input", skipna=False) ** 0.5
+    return xr.Dataset(
+        {
+            "axial_stress": stress.assign_attrs(units="kPa"),
+            "axial_stress_error": total.assign_attrs(units="kPa"),
+            "contribution": contribution.assign_attrs(units="kPa"),
+            "force_contribution": ("input", forces, {"units": "mN"}),
+            "nonlinearity": ("input", np.full(len(errors), np.nan), {"units": "1"}),
+        },
+        attrs={"force_mN": force, "force_error_mN": float(np.linalg.norm(forces))},
+    )
+
+
+def combined_uncertainty(parts: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Put errors of different inputs together, which are independent."""
+    if len(parts) == 1:
+        return parts[0]
+    over = ["contribution", "force_contribution", "nonlinearity"]
+    together = xr.concat([part[over] for part in parts], dim="input")
+    total = (together["contribution"] ** 2).sum("input", skipna=False) ** 0.5
+    together["axial_stress"] = parts[0]["axial_stress"]
+    together["axial_stress_error"] = total.assign_attrs(units="kPa")
+    error = float(np.linalg.norm(together["force_contribution"]))
+    together.attrs = {"force_mN": parts[0].attrs["force_mN"], "force_error_mN": error}
+    return together
 
 
 def _stress_and_force(result: StressResult) -> tuple[xr.DataArray, float]:

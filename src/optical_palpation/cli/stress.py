@@ -188,6 +188,19 @@ def stress(
             help="Slip over which friction builds up, mm; by default 0.002 of the thickness.",
         ),
     ] = None,
+    input_error: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=NUMBER",
+            help="Half-width of the 95 % interval of an input, instead of the default: "
+            "window_friction (0.05), sample_friction (0.05), modulus (0.05, a fraction), thickness "
+            "(0.002 mm), initial_thickness (0.002 mm). May be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    input_errors: Annotated[
+        bool, typer.Option(help="Error bands from those of the inputs, for half as much time more.")
+    ] = True,
     variable: Annotated[
         str | None,
         typer.Option(metavar="TEXT", help="Variable of the map, where a file has several."),
@@ -378,6 +391,7 @@ def stress(
     else:
         assert sizes is not None  # refused above
         from optical_palpation.palpation import (
+            InputErrors,
             computational_stress,
             read_sample_motion,
             uniform_motion,
@@ -403,6 +417,7 @@ def stress(
                 imprint_smoothing=imprint_smoothing,
                 slip_length=slip_length,
                 threads=threads,
+                input_errors=InputErrors.parsed(input_error or []) if input_errors else None,
                 progress=progress,
             )
     # The maps of the computational method lie on the nodes of its elements, not on the pixels.

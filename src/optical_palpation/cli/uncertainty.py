@@ -76,7 +76,8 @@ def uncertainty(
 ) -> None:
     """Propagate errors of friction, material and thickness to the stress of a study.
 
-    Runs the study first where it is not complete. Every error costs two solves.
+    Runs the study first where it is not complete. Noise costs two solves for each probe; all else
+    follows from the sensitivities of the stress.
     """
     import xarray as xr
 
@@ -110,6 +111,8 @@ def uncertainty(
             modulus_error=modulus,
             thickness_error=thickness,
             thickness_noise=noise,
+            nominal=present.read_result(done.folder / "stress.nc"),
+            slip_length=asked.friction.slip_length,
             progress=progress,
             sample_motion=sample_motion(asked, loaded),
             **asked.grid.model_dump(),

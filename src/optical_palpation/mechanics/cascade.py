@@ -19,6 +19,7 @@ from .grid import LayerGrid, edge_width, node_positions
 from .iteration import TOLERANCES, NotConverged, Tolerances, relaxed
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
+from .neighbours import Neighbours
 from .newton import Balance, LinearSolver, equilibrate
 from .path import LoadNotReached, StepControl, follow, settle
 from .problem import LayerProblem, LayerState
@@ -122,6 +123,7 @@ def solve(
     cascade: bool = True,
     tolerances: Tolerances | None = None,
     control: StepControl | None = None,
+    neighbours: Neighbours | None = None,
     on_iteration: Callable[[LayerProblem, float, int, Balance, int], None] | None = None,
 ) -> Solution:
     """Solve the layer problem at full load.
@@ -134,6 +136,8 @@ def solve(
         ``multigrid`` or ``direct``.
     cascade
         Follow the load path on a coarse grid first (else on the grid itself).
+    neighbours
+        To be followed beside it where the load path is followed on the grid itself.
 
     Raises
     ------
@@ -187,10 +191,13 @@ def solve(
             full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
             report = partial(on_iteration, level) if on_iteration else None
             linear = make_solver(level, solver)
+            beside = neighbours if level is problem else None
+            if beside:
+                beside.begin(level, rest)
             try:
                 small = intermediate if level is problem else coarse
                 state, steps = follow(
-                    level, linear, wanted(level), small, rest, full, control, report
+                    level, linear, wanted(level), small, rest, full, control, report, beside
                 )
             except LoadNotReached:
                 if level is problem:
@@ -209,4 +216,4 @@ def make_solver(problem: LayerProblem, name: str) -> LinearSolver:
     return MultigridSolver(problem.grid, problem.shear_modulus, problem.edges == "free")
 
 
-__all__ = ["LoadNotReached", "Solution", "make_solver", "solve"]
+__all__ = ["LoadNotReached", "Solution", "make_solver", "prolong", "solve"]

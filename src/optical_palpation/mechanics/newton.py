@@ -205,8 +205,12 @@ def equilibrate(
     tolerances: Tolerances,
     on_iteration: Callable[[int, Balance, int], None] | None = None,
     drag: Drag | None = None,
+    near: bool = False,
 ) -> tuple[Balance, int]:
     """Bring a state into equilibrium at its load, ``drag`` included.
+
+    Friction first points where it did at the last load or, of a state ``near`` equilibrium, where
+    the slip of the state itself does.
 
     Returns
     -------
@@ -224,5 +228,6 @@ def equilibrate(
         return _newton_step(problem, now, solver, tolerances.linear, damping)
 
     with threads_for(problem.grid.node_shape):
-        start = balance(problem, state, friction_direction(state.slip), drag)
+        first = None if near else friction_direction(state.slip)
+        start = balance(problem, state, first, drag)
         return iterate(start, step, tolerances, least, on_iteration)

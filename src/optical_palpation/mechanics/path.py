@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from .contact import remember_slip
 from .iteration import NotConverged, Tolerances
+from .neighbours import Neighbours
 from .newton import Balance, Drag, LinearSolver, balance, equilibrate
 from .problem import LayerProblem, LayerState
 
@@ -118,6 +119,7 @@ def follow(
     full: LayerState,
     control: StepControl | None = None,
     report: Report | None = None,
+    neighbours: Neighbours | None = None,
 ) -> tuple[LayerState, list[tuple[float, int]]]:
     """Load the layer fully, from ``start`` on.
 
@@ -129,6 +131,8 @@ def follow(
         A layer in equilibrium, its reference slip laid.
     full
         An estimate of the fully loaded layer, towards which the first step is begun.
+    neighbours
+        What is to be followed beside it.
 
     Returns
     -------
@@ -155,12 +159,18 @@ def follow(
             if path.spent > path.allowed:
                 raise path.stopped(failure) from None
             if step < _SNAP:
+                if neighbours:
+                    neighbours.stop(
+                        f"at {path.state.load:.0%} of the load the layer snaps or slides"
+                    )
                 _settle(problem, solver, tolerances, intermediate, path, step, control.easy)
                 step = _SNAP
             continue
         if load < 1.0:
             remember_slip(problem, now.state)
         path.advance(now.state, count)
+        if neighbours:
+            neighbours.load(solver, now.state)
         if count <= control.easy:
             step = min(control.largest, 1.5 * step)
     return path.state, path.record

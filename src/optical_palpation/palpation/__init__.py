@@ -2,12 +2,14 @@
 
 from optical_palpation.palpation.algebraic import algebraic_result, algebraic_stress
 from optical_palpation.palpation.computational import Progress, computational_stress
+from optical_palpation.palpation.input_errors import InputErrors
 from optical_palpation.palpation.motion import read_sample_motion, uniform_motion
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.palpation.submodel import submodel_stress
 
 __all__ = [
     "ContactState",
+    "InputErrors",
     "Progress",
     "StressResult",
     "algebraic_result",

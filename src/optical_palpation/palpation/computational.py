@@ -23,6 +23,7 @@ from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.edges import edge_influence
+from optical_palpation.palpation.input_errors import INPUT_ERRORS, InputErrors, add_error_bands
 from optical_palpation.palpation.memory import check_memory
 from optical_palpation.palpation.mesh_error import MeshError, Quantities, mesh_error
 from optical_palpation.palpation.meshing import (
@@ -36,6 +37,7 @@ from optical_palpation.palpation.meshing import (
 from optical_palpation.palpation.motion import match_sample_motion
 from optical_palpation.palpation.plausibility import check_elements, unusual
 from optical_palpation.palpation.result import StressResult
+from optical_palpation.palpation.sensitivity import sensitivities
 from optical_palpation.palpation.surface import deformed_layer, surface_maps
 from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
@@ -70,6 +72,7 @@ def computational_stress(
     solver: Literal["auto", "multigrid", "direct"] = "auto",
     threads: int | None = None,
     edge_check: bool = True,
+    input_errors: InputErrors | None = INPUT_ERRORS,
     progress: Callable[[Progress], None] | None = None,
 ) -> StressResult:
     """Compute the tactile stress that deforms the layer to the loaded thickness.
@@ -112,6 +115,9 @@ def computational_stress(
     edge_check
         Whether to compute, on a coarse grid, how much the sides of the layer matter: the map
         ``edge_influence`` and the attributes ``edge_influence_*``.
+    input_errors
+        Errors of the inputs, from which those of force and stress follow (``axial_stress_error``,
+        ``force_error_mN``) by the result's ``sensitivities``; None computes neither.
     progress
         Called with a :class:`Progress` now and then.
 
@@ -191,7 +197,7 @@ def computational_stress(
     maps = surface_maps(solution, surface, loaded, algebraic, sizes)
 
     def quantities(problem: LayerProblem, state: LayerState) -> Quantities:
-        if problem is solution.problem:
+        if state is solution.state:
             return _total_forces(problem, state)[1], maps["axial_stress"].values
         coarse = Solution(problem, state)
         carried = deformed_layer(coarse, balance(problem, state))[1]
@@ -228,11 +234,31 @@ def computational_stress(
             )
         maps["edge_influence"] = influence.described()
         maps.attrs |= influence.attributes
+    derivatives = None
+    if input_errors is not None and input_errors.any:
+        if progress:
+            progress(Progress("sensitivities", 1.0, newton))
+        with limited_threads(threads):
+            derivatives = sensitivities(
+                solution,
+                quantities,
+                lambda level: expected_forces(level, material),
+                maps["y"].values,
+                maps["x"].values,
+            )
+        add_error_bands(maps, derivatives, input_errors)
     maps.attrs["unusual"] = json.dumps(unusual(material, maps))
     if motion is not None:
         maps.attrs |= motion.attrs
     pixels = xr.Dataset({"algebraic_axial_stress": algebraic, "loaded_thickness": loaded})
-    return StressResult(maps, layer, problem, solution.state, pixels=pixels.drop_attrs(deep=False))
+    return StressResult(
+        maps,
+        layer,
+        problem,
+        solution.state,
+        pixels=pixels.drop_attrs(deep=False),
+        sensitivities=derivatives,
+    )
 
 
 def _check_numbers(

@@ -63,6 +63,9 @@ class StressResult:
         What the algebraic method makes of the pixels that were given, on their ``(y, x)``:
         ``algebraic_axial_stress`` (kPa) and ``loaded_thickness`` (mm); ``None`` where the maps lie
         on these pixels themselves.
+    sensitivities
+        Derivatives by each ``input``, per its ``unit``: ``force`` (mN) and ``axial_stress`` (kPa,
+        on ``(input, y, x)``); ``None`` where they were not computed.
     problem
         The boundary-value problem that was solved, for export to other codes; ``None`` for the
         algebraic method.
@@ -73,6 +76,7 @@ class StressResult:
     maps: xr.Dataset
     layer: xr.Dataset | None = None
     pixels: xr.Dataset | None = field(default=None, kw_only=True)
+    sensitivities: xr.Dataset | None = field(default=None, kw_only=True, repr=False)
     problem: LayerProblem | None = None
     state: LayerState | None = field(default=None, repr=False)
 

@@ -74,6 +74,9 @@ def write_result(result: StressResult, path: str | Path) -> None:
     if result.pixels is not None:
         groups["/pixels"] = _described(result.pixels).rename(_PIXEL_AXES)
         encoding["/pixels"] = _compression(groups["/pixels"], dtype=np.float32)
+    if result.sensitivities is not None:  # on the points of the maps
+        groups["/sensitivities"] = result.sensitivities.drop_vars(["y", "x"])
+        encoding["/sensitivities"] = _compression(groups["/sensitivities"])
     for name, group in state_groups(result).items():
         groups[f"/{name}"], encoding[f"/{name}"] = group, _compression(group)
     # By way of memory, because the HDF5 library can crash on a disk that fills up under it.
@@ -95,7 +98,9 @@ def read_result(path: str | Path) -> StressResult:
         raise InputError(f"{path}: no such file")
     try:
         with hdf5.open_file(path) as file:  # refuses what is no NetCDF-4 file, or damaged
-            inside = {name for name in ("layer", "pixels", *GROUPS) if name in file}
+            inside = {
+                name for name in ("layer", "pixels", "sensitivities", *GROUPS) if name in file
+            }
         maps = xr.load_dataset(path, engine="h5netcdf", decode_times=False)
         groups = {
             name: xr.load_dataset(path, engine="h5netcdf", group=name, decode_times=False)
@@ -114,7 +119,10 @@ def read_result(path: str | Path) -> StressResult:
     pixels = groups.pop("pixels", None)
     if pixels is not None:
         pixels = pixels.rename({b: a for a, b in _PIXEL_AXES.items() if b in pixels.dims})
-    return StressResult(maps, layer, **read_state(groups), pixels=pixels)
+    derivatives = groups.pop("sensitivities", None)
+    if derivatives is not None:
+        derivatives = derivatives.assign_coords({axis: maps[axis] for axis in "yx"})
+    return StressResult(maps, layer, **read_state(groups), pixels=pixels, sensitivities=derivatives)
 
 
 def _described(dataset: xr.Dataset) -> xr.Dataset:

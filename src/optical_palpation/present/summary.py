@@ -66,6 +66,38 @@ def mesh_error(attrs: Mapping[Hashable, Any]) -> str:
     return f"{error:.2g} mN ({abs(error / force):.1%})" if force else f"{error:.2g} mN"
 
 
+_INPUTS = {
+    "window_friction": "friction at the window",
+    "sample_friction": "friction at the sample",
+    "modulus": "stiffness of the layer",
+    "thickness": "loaded thickness",
+    "initial_thickness": "unloaded thickness",
+}
+
+
+def input_errors(attrs: Mapping[Hashable, Any]) -> str:
+    """Say what errors of the inputs do to the total force; "" where that was not asked for."""
+    if unknown := attrs.get("input_errors_unknown"):
+        return f"unknown ({unknown})"
+    if "force_error_mN" not in attrs or "input_errors" not in attrs:
+        return ""
+    error, force = attrs["force_error_mN"], attrs["sample_force_mN"]
+    given = json.loads(attrs["input_errors"])
+    parts = json.loads(attrs["force_error_contributions_mN"])
+    units = {"thickness": " mm", "initial_thickness": " mm"}
+    said = []
+    for name in sorted(parts, key=parts.__getitem__, reverse=True):
+        if given[name]:
+            size = f"{given[name]:.3g}{units.get(name, '')}"
+            if name == "modulus":
+                size = f"{100 * given[name]:.3g} %"
+            said.append(f"{parts[name]:.2g} mN by {_INPUTS[name]} \N{PLUS-MINUS SIGN}{size}")
+    share = f" ({abs(error / force):.1%})" if force else ""
+    return f"\N{PLUS-MINUS SIGN}{error:.2g} mN{share} at 95 %" + (
+        "; " + ", ".join(said) if said else ""
+    )
+
+
 def _of_sample(maps: xr.Dataset) -> list[str]:
     """What a result says of the sample."""
     attrs = maps.attrs
@@ -127,11 +159,13 @@ def summarise(result: StressResult) -> str:
         lines.append("total force: " + ", ".join(forces))
     if "force_mesh_error_mN" in maps.attrs:
         lines.append(f"error of the mesh, estimated: {mesh_error(maps.attrs)}")
-    elif forces and "submodel_region_mm" not in maps.attrs:
+    elif forces and not ("submodel_region_mm" in maps.attrs or "sample_shear_modulus" in maps):
         lines.append("error of the mesh: unknown, because there is no solution on coarser elements")
     glued = [side for side in ("window", "sample") if maps.attrs.get(f"{side}_contact") == "glued"]
     if glued:
         lines.append(f"glued: {' and '.join(glued)}")
+    if of_inputs := input_errors(maps.attrs):
+        lines.append(f"error from the inputs: {of_inputs}")
     if "force_residual" in maps.attrs:
         lines.append("equilibrium: " + equilibrium(maps.attrs))
     methods = {"computational": "axial_stress", "algebraic": "algebraic_axial_stress"}

@@ -11,7 +11,7 @@ from typing import Any
 
 import xarray as xr
 
-from optical_palpation.palpation import algebraic_result, computational_stress
+from optical_palpation.palpation import InputErrors, algebraic_result, computational_stress
 from optical_palpation.palpation.plausibility import check_stress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.study.inputs import by_side, sample_motion
@@ -149,6 +149,7 @@ def stress_of(
         sample_motion=sample_motion(study, loaded),
         edge_check=edge_check,
         progress=progress,
+        input_errors=InputErrors(**study.errors.model_dump()),
         **study.grid.model_dump(),
     )
     return _with_thickness(result, thickness)

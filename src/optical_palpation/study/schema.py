@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from optical_palpation.material import Law, make_law
+from optical_palpation.palpation.input_errors import INPUT_ERRORS
 
 Positive = Annotated[float, Field(gt=0)]
 Text = Annotated[str, Field(min_length=1)]
@@ -163,6 +164,16 @@ class Grid(Table):
     threads: Annotated[int, Field(ge=1)] | None = None
 
 
+class Errors(Table):
+    """Half-widths of the 95 % intervals of the inputs; no error bands if all are 0."""
+
+    window_friction: Annotated[float, Field(ge=0)] = INPUT_ERRORS.window_friction
+    sample_friction: Annotated[float, Field(ge=0)] = INPUT_ERRORS.sample_friction
+    modulus: Annotated[float, Field(ge=0)] = INPUT_ERRORS.modulus
+    thickness: Annotated[float, Field(ge=0)] = INPUT_ERRORS.thickness
+    initial_thickness: Annotated[float, Field(ge=0)] = INPUT_ERRORS.initial_thickness
+
+
 class Outputs(Table):
     """The result folder and what is written besides the results themselves."""
 
@@ -182,6 +193,7 @@ class Study(Table):
     friction: Friction
     sample: Sample = Sample()
     grid: Grid
+    errors: Errors = Errors()
     outputs: Outputs = Outputs()
     _file: Path = PrivateAttr()
     _sha256: str = PrivateAttr()

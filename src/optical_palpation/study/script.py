@@ -38,6 +38,9 @@ def _lines(study: Study) -> Iterator[str]:
     law = study.material.make()
     values = law.values | {"bulk_to_shear": law.bulk_to_shear}
     yield f"silicone = material.{type(law).__name__}({_arguments(values)})"
+    errors = study.errors.model_dump(exclude_defaults=True)
+    if errors:
+        yield f"errors = palpation.InputErrors({_arguments(errors)})"
     motion = study.sample.motion
     if isinstance(motion, str):
         yield f"motion = palpation.read_sample_motion({motion!r})"
@@ -45,7 +48,9 @@ def _lines(study: Study) -> Iterator[str]:
         yield f"motion = palpation.uniform_motion(loaded, {motion!r})"
     yield "result = palpation.computational_stress("
     yield f"    loaded, unloaded, silicone, {_arguments(friction)},"
-    yield f"    {_arguments(grid)}{'' if motion is None else ', sample_motion=motion'}"
+    yield f"    {_arguments(grid)}{'' if motion is None else ', sample_motion=motion'},"
+    if errors:
+        yield "    input_errors=errors,"
     yield ")"
 
 

@@ -75,7 +75,7 @@ class Stages:
         stages.append(Stage(THICKNESS, facts, found, self._thickness, code=_FINDING))
         tables = {
             name: getattr(study, name).model_dump(mode="json")
-            for name in ("material", "friction", "grid")
+            for name in ("material", "friction", "grid", "errors")
         }
         facts = {"material": tables["material"], "glued": study.friction.sample_glued}
         stages.append(Stage(ALGEBRAIC, facts, [THICKNESS], self._algebraic, code=_SOLVING))

@@ -18,6 +18,7 @@ from optical_palpation.present.summary import (
     edge_influence,
     equilibrium,
     force_error,
+    input_errors,
     mesh_error,
 )
 from optical_palpation.present.terms import (
@@ -234,6 +235,8 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
         rows.append(("Difference of the two", f"{off:.2g} %" if off > 1e-3 else "below 0.001 %"))
     if "force_mesh_error_mN" in attrs:
         rows.append(("Error of the mesh, estimated", mesh_error(attrs)))
+    if of_inputs := input_errors(attrs):
+        rows.append(("Error from the inputs", of_inputs))
     if "force_residual" in attrs:
         rows.append(("Equilibrium", equilibrium(attrs)))
     if sides := edge_influence(attrs, always=True):

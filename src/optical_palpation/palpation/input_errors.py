@@ -1,0 +1,105 @@
+"""Errors of the inputs, and what they make of force and stress."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+
+import numpy as np
+import xarray as xr
+
+from optical_palpation.errors import InputError
+
+
+@dataclass(frozen=True)
+class InputErrors:
+    """Half-widths of the 95 % intervals of the inputs.
+
+    The defaults are those of careful work, not of yours: friction as in the error bars of the
+    paper, the stiffness of a layer that was tested beside its batch, thicknesses from OCT with a
+    refractive index known to 0.5 %.
+
+    Attributes
+    ----------
+    window_friction, sample_friction
+        Of the coefficients of friction.
+    modulus
+        Of the layer's stiffness, common to all coefficients of its law, as a fraction of it.
+    thickness, initial_thickness
+        Common to the whole loaded, and the whole unloaded, thickness, mm.
+    """
+
+    window_friction: float = 0.05
+    sample_friction: float = 0.05
+    modulus: float = 0.05
+    thickness: float = 0.002
+    initial_thickness: float = 0.002
+
+    @classmethod
+    def parsed(cls, given: Sequence[str]) -> InputErrors:
+        """Return the errors that texts such as ``window_friction=0.03`` say, else the defaults.
+
+        Raises
+        ------
+        InputError
+            If a text names no input, or no number.
+        """
+        names = [field.name for field in fields(cls)]
+        values: dict[str, float] = {}
+        for text in given:
+            name, _, number = text.partition("=")
+            name = name.strip().replace("-", "_")
+            try:
+                value = float(number)
+            except ValueError:
+                value = np.nan
+            if name not in names or np.isnan(value):
+                raise InputError(
+                    f"input error {text!r}: must be NAME=NUMBER, with NAME one of "
+                    f"{', '.join(names)}; for example window_friction=0.03"
+                )
+            values[name] = value
+        return cls(**values)
+
+    @property
+    def any(self) -> bool:
+        """Whether there is any."""
+        return any(asdict(self).values())
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not (isinstance(value, int | float) and 0 <= value < np.inf):
+                raise InputError(f"error of {name}: a number of at least 0, not {value!r}")
+
+
+#: Unless others are given.
+INPUT_ERRORS = InputErrors()
+
+
+def add_error_bands(maps: xr.Dataset, sensitivities: xr.Dataset, errors: InputErrors) -> None:
+    """Let the errors that follow from those of the inputs go with the maps (in place).
+
+    Errors of the inputs are independent, and the solution is linear in them: their effects add in
+    quadrature. The result is ``axial_stress_error`` (kPa) and the attributes ``force_error_mN``,
+    ``force_error_contributions_mN`` and ``input_errors`` (JSON, by input), all half-widths of 95 %
+    intervals. Where there are no sensitivities but that to the modulus there are none of these,
+    and the attribute ``input_errors_unknown`` says why.
+    """
+    if failure := sensitivities.attrs["failure"]:
+        maps.attrs["input_errors_unknown"] = failure
+        return
+    given = asdict(errors)
+    inputs = [str(name) for name in sensitivities["input"].values]
+    each = xr.DataArray([given[name] for name in inputs], {"input": inputs}, ("input",))
+    forces = abs(sensitivities["force"] * each)
+    squares = (sensitivities["axial_stress"] * each) ** 2
+    stress = squares.sum("input", skipna=False) ** 0.5
+    words = "error of the axial stress from those of the inputs, 95 %"
+    described = {"units": "kPa", "long_name": words}
+    maps["axial_stress_error"] = (("y", "x"), stress.transpose("y", "x").values, described)
+    maps.attrs["force_error_mN"] = float(np.linalg.norm(forces))
+    maps.attrs["force_error_contributions_mN"] = json.dumps(
+        {name: float(force) for name, force in zip(inputs, forces.values, strict=True)}
+    )
+    maps.attrs["input_errors"] = json.dumps({name: given[name] for name in inputs})
