@@ -33,9 +33,10 @@ lint: $(VENV)/.installed-test
 docs: $(VENV)/.installed-test
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs-output
 
-# The pictures of README and docs, made anew; needs Chromium.
+# The pictures of README and docs, made anew; needs Chromium and Xvfb.
 pictures: $(VENV)/.installed-test
 	$(BIN)/python docs/pictures.py
+	xvfb-run -a -s "-screen 0 1600x1000x24" $(BIN)/python -W ignore benchmarks/viewer_pictures.py docs/viewer
 
 package: $(VENV)/.installed-test
 	.ci/package

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from qtpy.QtWidgets import (
@@ -83,7 +84,7 @@ class Panel(QWidget):
             If it cannot be used.
         """
         self.bench.take_up(Session.open(path))
-        self._say(f"opened {path}")
+        self._say(f"opened {Path(path).name}")
 
     def save_study(self, path: str) -> None:
         """Write what was done as a study file, which ``optical-palpation run`` repeats.
