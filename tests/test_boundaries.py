@@ -78,6 +78,28 @@ def test_a_specular_spot_lowers_the_quality_and_is_flagged(saturated):
     assert not layer.specular.values[far].any()
 
 
+def test_saturated_ascans_lower_the_quality_where_they_are():
+    """A saturated detector lifts the noise of whole A-scans: the boundary stands out less there."""
+    stack = np.stack(list(volume()), axis=1)
+    plain = find_layer(stack, spacing=SPACING, scale="linear")
+    rng = np.random.default_rng(1)
+    patch = (slice(26, 38), slice(48, 60))
+    noise = stack[:20].mean() * 10 ** (22.0 / 20)
+    shape = stack[:, *patch].shape
+    lifted = stack[:, *patch] + noise * np.abs(
+        rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+    ).astype(stack.dtype)
+    stack[:, *patch] = np.minimum(lifted, stack.max())
+    layer = find_layer(stack, spacing=SPACING, scale="linear")
+    inside = (slice(29, 35), slice(51, 57))
+    assert layer.quality.values[inside].max() < 0.8 * plain.quality.values[inside].min()
+    far = np.ones(SHAPE, bool)
+    far[16:48, 38:70] = False
+    np.testing.assert_allclose(layer.quality.values[far], plain.quality.values[far], atol=0.05)
+    error = np.abs(layer.thickness.values - plain.thickness.values) / SPACING[0]
+    assert rms(error[far]) < 0.3
+
+
 def test_a_shadow_is_filled_and_says_so():
     light = np.ones(SHAPE)
     light[16:44, 34:62] = 1e-4
