@@ -9,7 +9,14 @@ from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import algebraic_result
 from optical_palpation.present import summarise
-from optical_palpation.study import read_study, run_study, stages, warnings_about, write_template
+from optical_palpation.study import (
+    compute,
+    read_study,
+    run_study,
+    stages,
+    warnings_about,
+    write_template,
+)
 from optical_palpation.thickness import thickness_map
 from study_case import LOADED, STUDY, UNLOADED, make_study
 
@@ -32,8 +39,12 @@ def here(tmp_path, monkeypatch):
     def work(*arguments, **options):
         raise AssertionError("the study got as far as the work")
 
-    for name in ("find_boundaries", "computational_stress", "read_thickness_map"):
-        monkeypatch.setattr(stages, name, work)
+    for module, name in (
+        (stages, "find_boundaries"),
+        (compute, "computational_stress"),
+        (compute, "read_thickness_map"),
+    ):
+        monkeypatch.setattr(module, name, work)
     monkeypatch.chdir(tmp_path)
     nz = 230
     for name, thickness in (("unloaded", UNLOADED), ("loaded", LOADED)):
