@@ -174,6 +174,14 @@ def stress(
         str | None,
         typer.Option(metavar="SIZE | X Y Z", help="Size of the elements, mm: one value or three."),
     ] = None,
+    accuracy: Annotated[
+        float | None,
+        typer.Option(
+            metavar="NUMBER",
+            help="In place of --element-size: error of the total force that the mesh may leave, "
+            "0.02 for 2 %. Elements are made finer until the estimate is below that.",
+        ),
+    ] = None,
     edges: Annotated[Edges, typer.Option(help="Sides of the layer.")] = Edges.FREE,
     imprint_smoothing: Annotated[
         float | None,
@@ -264,7 +272,7 @@ def stress(
     needed = {
         "--window-friction (or --window glued)": holds["window"],
         "--sample-friction (or --sample glued)": holds["sample"],
-        "--element-size": element_size,
+        "--element-size (or --accuracy)": element_size if accuracy is None else accuracy,
     }
     about_sample = {
         "--compression": compression,
@@ -308,6 +316,8 @@ def stress(
             raise typer.BadParameter("the algebraic method makes no use of --sample-motion")
     if deck and "glued" in holds.values():
         raise typer.BadParameter("--deck: a deck has friction and no glued faces")
+    if accuracy is not None and element_size is not None:
+        raise typer.BadParameter("--accuracy chooses the --element-size: give one of them")
     sizes = element_size_of(element_size)
 
     from optical_palpation import present, thickness
@@ -389,7 +399,6 @@ def stress(
                 progress=progress,
             )
     else:
-        assert sizes is not None  # refused above
         from optical_palpation.palpation import (
             InputErrors,
             computational_stress,
@@ -412,6 +421,7 @@ def stress(
                 window_friction=holds["window"],
                 sample_friction=holds["sample"],
                 element_size=sizes,
+                accuracy=accuracy,
                 sample_motion=motion,
                 edges=edges.value,
                 imprint_smoothing=imprint_smoothing,

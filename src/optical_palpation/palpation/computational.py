@@ -21,6 +21,7 @@ from optical_palpation.mechanics.contact import side_contact
 from optical_palpation.mechanics.iteration import TOLERANCES
 from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
+from optical_palpation.palpation.accuracy import solve_to_accuracy
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.edges import edge_influence
 from optical_palpation.palpation.input_errors import INPUT_ERRORS, InputErrors, add_error_bands
@@ -64,7 +65,8 @@ def computational_stress(
     *,
     window_friction: Hold,
     sample_friction: Hold,
-    element_size: float | Sequence[float],
+    element_size: float | Sequence[float] | None = None,
+    accuracy: float | None = None,
     sample_motion: xr.Dataset | None = None,
     edges: Edges = "free",
     imprint_smoothing: float | None = None,
@@ -93,6 +95,9 @@ def computational_stress(
     element_size
         Size of the elements in mm: one value, or three for x, y and z. It is adjusted so that whole
         elements fit.
+    accuracy
+        Instead of the size: error of the total force that the mesh may leave, as a fraction of it
+        (0.02 for 2 %). Elements are made finer until the estimated error is below that.
     sample_motion
         How far the sample's surface has moved sideways, where that is known:
         ``sample_displacement_x`` and ``sample_displacement_y`` in mm on ``(y, x)``
@@ -137,6 +142,35 @@ def computational_stress(
     ConvergenceError
         If the full load is not reached.
     """
+    if (element_size is None) == (accuracy is None):
+        raise InputError(
+            "give element_size (mm) or accuracy (0.02 for 2 % of the force), one of them"
+        )
+    if element_size is None:
+        assert accuracy is not None
+        x0, x1, y0, y1 = layer_extent_of(on_grid(loaded))
+        thickness = float(np.nanmedian(initial_thickness))
+
+        def solve_with(size: float) -> StressResult:
+            return computational_stress(
+                loaded,
+                initial_thickness,
+                material,
+                window_friction=window_friction,
+                sample_friction=sample_friction,
+                element_size=size,
+                sample_motion=sample_motion,
+                edges=edges,
+                imprint_smoothing=imprint_smoothing,
+                slip_length=slip_length,
+                solver=solver,
+                threads=threads,
+                edge_check=edge_check,
+                input_errors=input_errors,
+                progress=progress,
+            )
+
+        return solve_to_accuracy(accuracy, thickness, (x1 - x0, y1 - y0), solve_with)
     loaded = on_grid(loaded)
     held = {"window": window_friction, "sample": sample_friction}
     _check_numbers(held, edges, imprint_smoothing, solver, threads)

@@ -158,7 +158,11 @@ def summarise(result: StressResult) -> str:
     elif forces:
         lines.append("total force: " + ", ".join(forces))
     if "force_mesh_error_mN" in maps.attrs:
-        lines.append(f"error of the mesh, estimated: {mesh_error(maps.attrs)}")
+        said = mesh_error(maps.attrs)
+        if "accuracy" in maps.attrs:
+            sizes = " x ".join(f"{size:.3g}" for size in maps.attrs["element_size_mm"])
+            said += f", on elements of {sizes} mm chosen for {maps.attrs['accuracy']:.2%}"
+        lines.append(f"error of the mesh, estimated: {said}")
     elif forces and not ("submodel_region_mm" in maps.attrs or "sample_shear_modulus" in maps):
         lines.append("error of the mesh: unknown, because there is no solution on coarser elements")
     glued = [side for side in ("window", "sample") if maps.attrs.get(f"{side}_contact") == "glued"]
