@@ -51,6 +51,7 @@ from numpy.typing import NDArray
 from optical_palpation.runtime.kernels import keep_kernels
 
 from .faces import SHAPE, SLOPE, area_vectors
+from .grid import LayerGrid
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 
 keep_kernels()
@@ -193,7 +194,9 @@ def linearise(
     c = complementarity_scale(problem)
     eps = np.broadcast_to(SMOOTHING * c * problem.grid.spacing[0], (2, *c.shape)).copy()
     # with the load, so that the unloaded layer is free of stress
-    eps[WINDOW][problem.rim] *= max(1.0, state.load * problem.rim_smoothing / SMOOTHING)
+    eps[WINDOW][problem.rim] *= max(
+        1.0, problem.rim_model * state.load * problem.rim_smoothing / SMOOTHING
+    )
     t = normal + c * penetration
     s_value, other = smooth_maximum(t, eps)
     slope = 1 - other
@@ -271,6 +274,11 @@ def side_penalty(
     return force, 0.5 * stiffness * near
 
 
+def rim_reach(grid: LayerGrid) -> Array:
+    """How near both faces the nodes of a side are caught, in thicknesses, (2, 1)."""
+    return np.maximum([[grid.depth[1]], [1 - grid.depth[-2]]], _SIDE_BAND)
+
+
 def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     """Contact of the free sides with window and imprint at ``state``."""
     grid = problem.grid
@@ -281,7 +289,7 @@ def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     _, dy, dx = grid.spacing
     above = grid.depth[nodes[0][:count]]
     first = np.array([[grid.depth[1]], [1 - grid.depth[-2]]])
-    band = np.minimum(np.stack([above, 1 - above]), np.maximum(first, _SIDE_BAND))
+    band = np.minimum(np.stack([above, 1 - above]), rim_reach(grid))
     # pressure x area of a node / the height that it keeps free; a corner rolls over from both its
     # sides, and with the penalty of one its tip would swing to and fro
     sides = np.zeros(count)
@@ -292,7 +300,7 @@ def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
     c = SIDE_PENALTY * problem.shear_modulus * sides * 0.5 * (dx + dy) * first / band
     x0, y0 = (grid.nodes[n][nodes][:count] for n in range(2))
     height = problem.imprint.evaluate(x0, y0, state.load)[0]
-    gap = SIDE_GAP * height * band
+    gap = problem.rim_model * SIDE_GAP * height * band
     penetration = np.stack([-z, z - h])
     normal, slope = side_penalty(penetration, gap, c)
     flat, one = np.zeros_like(x), np.ones_like(x)

@@ -50,6 +50,9 @@ class LayerProblem:
         can pull. The sample side goes with those points of the imprint that it lay on at first.
     surroundings
         The larger layer that this one is a part of; it holds the sides that were cut.
+    rim_model
+        Reach of the model of the rim, as a fraction of the usual one: of the gap at which the
+        sides are caught, and of ``rim_smoothing``.
     """
 
     grid: LayerGrid
@@ -62,6 +65,7 @@ class LayerProblem:
     curved_sides: bool = False
     glued: tuple[bool, bool] = (False, False)
     surroundings: Surroundings | None = None
+    rim_model: float = 1.0
 
     @property
     def shear_modulus(self) -> float:

@@ -38,6 +38,7 @@ from optical_palpation.palpation.meshing import (
 from optical_palpation.palpation.motion import match_sample_motion
 from optical_palpation.palpation.plausibility import check_elements, unusual
 from optical_palpation.palpation.result import StressResult
+from optical_palpation.palpation.rim import rim_effect
 from optical_palpation.palpation.sensitivity import sensitivities
 from optical_palpation.palpation.surface import deformed_layer, surface_maps
 from optical_palpation.palpation.threads import limited_threads
@@ -259,6 +260,10 @@ def computational_stress(
     }
     if of_mesh is not None:
         _add_mesh_error(maps, of_mesh)
+    with limited_threads(threads):
+        of_rim = rim_effect(solution)
+    if of_rim is not None:
+        maps.attrs["force_rim_model_mN"] = of_rim
     if edge_check:
         if progress:
             progress(Progress("influence of the sides", 1.0, newton))

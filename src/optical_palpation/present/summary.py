@@ -165,6 +165,11 @@ def summarise(result: StressResult) -> str:
         lines.append(f"error of the mesh, estimated: {said}")
     elif forces and not ("submodel_region_mm" in maps.attrs or "sample_shear_modulus" in maps):
         lines.append("error of the mesh: unknown, because there is no solution on coarser elements")
+    if rim := maps.attrs.get("force_rim_model_mN", 0.0):
+        lines.append(
+            f"of the force, about {rim:.2g} mN is due to the model of the rim, where sides of the "
+            "layer roll onto window or sample"
+        )
     glued = [side for side in ("window", "sample") if maps.attrs.get(f"{side}_contact") == "glued"]
     if glued:
         lines.append(f"glued: {' and '.join(glued)}")

@@ -1,0 +1,61 @@
+"""The part of the force that is due to the model of the rim is told, and near the truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics.cascade import solve
+from optical_palpation.mechanics.contact import rim_reach, side_contact
+from optical_palpation.mechanics.grid import LayerGrid, edge_width, graded_depths, node_positions
+from optical_palpation.mechanics.imprint import Imprint
+from optical_palpation.mechanics.problem import LayerProblem
+from optical_palpation.palpation.meshing import expected_forces
+from optical_palpation.palpation.rim import rim_effect
+
+LAW = MooneyRivlin(2.23, 0.703)
+
+
+def slab(compression: float, edges="free") -> LayerProblem:
+    depth, pixels = graded_depths(4), np.linspace(-1, 3, 9)
+    x = node_positions(1.5, 0.125, edge=edge_width(depth, 0.5))
+    flat = np.full((9, 9), 0.5)
+    return LayerProblem(
+        LayerGrid(x, x, depth, np.full((x.size, x.size), 0.5)),
+        Imprint(pixels, pixels, flat, (1 - compression) * flat),
+        replace(LAW, bulk_to_shear=100.0) if edges == "roller" else LAW,
+        (0.3, 0.05),
+        edges=edges,
+        slip_length=1e-3,
+    )
+
+
+def solved(problem: LayerProblem):
+    return solve(problem, lambda level: expected_forces(level, problem.law))
+
+
+def force(solution) -> float:
+    sides = side_contact(solution.problem, solution.state).normal_force[1].sum()
+    return float(solution.state.normal_force[1].sum() + sides)
+
+
+def test_its_part_of_the_force_is_what_a_shorter_reach_takes_away():
+    problem = slab(0.3)
+    solution = solved(problem)
+    shorter = solved(replace(problem, rim_model=0.8))
+    expected = (force(solution) - force(shorter)) / 0.2
+    assert expected > 0.01 * force(solution)
+    assert rim_effect(solution) == pytest.approx(expected, rel=0.5)
+
+
+@pytest.mark.parametrize(("compression", "edges"), [(0.05, "free"), (0.02, "roller")])
+def test_where_no_side_is_near_it_is_nothing(compression, edges):
+    assert rim_effect(solved(slab(compression, edges))) == 0.0
+
+
+def test_the_reach_shrinks_with_the_mesh_down_to_that_of_ten_elements():
+    reach = [
+        rim_reach(replace(slab(0.1).grid, depth=graded_depths(n))).ravel() for n in (4, 8, 10, 20)
+    ]
+    np.testing.assert_allclose(reach, np.repeat([[0.25], [0.125], [0.1], [0.1]], 2, axis=1))
