@@ -7,7 +7,7 @@ import pytest
 
 from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.study import Study, read_study, write_template
-from optical_palpation.study.schema import MapInput, NumberInput, VolumeInput
+from optical_palpation.study.schema import MapInput, Material, NumberInput, VolumeInput
 from study_case import STUDY, make_study
 
 
@@ -56,7 +56,18 @@ def test_the_template_is_a_study_and_shows_every_key(here):
     assert filled_in.volumes.window == study.volumes.window
     assert filled_in.material == study.material
     shown = set(paths_in(tomllib.loads(full)))
-    assert shown >= set(keys_of(Study))
+    # of which some exclude each other
+    of_sample = text[text.index("[sample]") : text.index("[grid]")]
+    shown |= {("sample", key) for key in re.findall(r"^# (\w+) = ", of_sample, re.M)}
+    laws = {("sample", "law", key) for key in Material.model_fields}
+    assert shown >= set(keys_of(Study)) - laws
+    given = re.sub(r"^# (?=\w+ = )", "", of_sample, flags=re.M)
+    given = "".join(line for line in given.splitlines(True) if not line.startswith("motion"))
+    (here / "relief.nc").touch()
+    tables = tomllib.loads(given)["sample"]
+    assert read_study(
+        make_study(here, STUDY.replace("[0.2, 0.2, 0.1]", "0.2")), {"sample": tables}
+    ).sample.modelled
     for kind in (VolumeInput, MapInput, NumberInput):
         for key in kind.model_fields:
             if key not in ("method", "window", "sample"):

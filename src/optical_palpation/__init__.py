@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         submodel_stress,
     )
     from optical_palpation.present import read_result
+    from optical_palpation.stiffness import Sample, sample_stress
     from optical_palpation.study.python import Study
     from optical_palpation.thickness import (
         clean_thickness,
@@ -35,6 +36,7 @@ __all__ = [
     "MooneyRivlin",
     "OpticalPalpationError",
     "Region",
+    "Sample",
     "StressResult",
     "Study",
     "__version__",
@@ -47,6 +49,7 @@ __all__ = [
     "read_regions",
     "read_result",
     "read_thickness_map",
+    "sample_stress",
     "stress_uncertainty",
     "submodel_stress",
     "sweep",
@@ -58,6 +61,7 @@ _HOMES = {
     "MooneyRivlin": "material",
     "OpticalPalpationError": "errors",
     "Region": "analysis",
+    "Sample": "stiffness",
     "StressResult": "palpation",
     "Study": "study.python",
     "algebraic_result": "palpation",
@@ -69,6 +73,7 @@ _HOMES = {
     "read_regions": "analysis",
     "read_result": "present",
     "read_thickness_map": "thickness",
+    "sample_stress": "stiffness",
     "stress_uncertainty": "analysis",
     "submodel_stress": "palpation",
     "sweep": "batch",

@@ -18,7 +18,7 @@ from optical_palpation.errors import InputError
 #: Values that are paths; they count from the folder of the table.
 _PATHS = frozenset(
     f"{side}.{key}" for side in ("unloaded", "loaded") for key in ("volume", "map", "corrections")
-) | {"sample.motion"}
+) | {"sample.motion", "sample.relief"}
 _TABLES = frozenset(
     ("unloaded", "loaded", "volumes", "layer", "material", "friction", "sample", "grid", "outputs")
 )

@@ -27,7 +27,7 @@ from optical_palpation.mechanics.stack.newton import balance
 from optical_palpation.mechanics.stack.problem import LAYER
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.computational import Progress, computational_stress
-from optical_palpation.palpation.plausibility import check_elements
+from optical_palpation.palpation.plausibility import WIDEST_FIELD, check_elements
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.stack_maps import body_dataset, observed_maps
 from optical_palpation.palpation.threads import limited_threads
@@ -258,6 +258,7 @@ def check_sample(sample: Sample, loaded: xr.DataArray, initial: xr.DataArray) ->
         raise InputError(f"sample: plate_friction must lie in 0 ... 2, not {sample.plate_friction}")
     if sample.total_force is not None and sample.total_force <= 0:
         raise InputError(f"sample: the total force must be positive, not {sample.total_force:g} mN")
+    _check_shape(sample, loaded)
     inside = inside_layer(loaded)
     if not bool((initial - loaded).where(inside).max() > 0):
         raise InputError("the sample does not touch the layer: it is nowhere thinner than unloaded")
@@ -287,6 +288,45 @@ def check_sample(sample: Sample, loaded: xr.DataArray, initial: xr.DataArray) ->
             f"{typical:.3g} mm, and the rest is more than {_MOST_COMPRESSED:.0%} of the sample's "
             f"thickness, {sample.thickness:g} mm"
         )
+
+
+def _check_shape(sample: Sample, loaded: xr.DataArray) -> None:
+    """Refuse a size or relief that no sample below this layer has."""
+    x0, x1, y0, y1 = layer_extent_of(loaded)
+    size = (x1 - x0, y1 - y0) if sample.size is None else sample.size
+    if len(size) != 2 or not all(np.isfinite(width) and width > 0 for width in size):
+        raise InputError(f"sample: size must be two positive numbers of mm, x and y, not {size!r}")
+    if sample.thickness > WIDEST_FIELD:
+        raise InputError(
+            f"sample: a thickness of {sample.thickness:g} mm is more than {WIDEST_FIELD:g} mm; "
+            "lengths are in mm: divide by 1000 if it is in um"
+        )
+    if sample.relief is None:
+        return
+    try:
+        relief = on_grid(sample.relief)
+    except InputError as error:
+        raise InputError(f"sample: the relief is no map of heights in mm: {error}") from error
+    if absent := int((~np.isfinite(relief.values)).sum()):
+        raise InputError(
+            f"sample: the relief has {absent} missing values: fill them first, smoothly"
+        )
+    height = float(np.ptp(relief.values))
+    if height >= sample.thickness:
+        raise InputError(
+            f"sample: the relief is {height:.3g} mm from its lowest to its highest point, more "
+            f"than the sample is thick, {sample.thickness:g} mm; lengths are in mm"
+        )
+    for axis, low, high, width in (("x", x0, x1, size[0]), ("y", y0, y1, size[1])):
+        at = relief[axis].values
+        half = 0.5 * min(high - low, width)
+        first, last = 0.5 * (low + high) - half, 0.5 * (low + high) + half
+        pixel = float(np.diff(at).max())
+        if at[0] > first + pixel or at[-1] < last - pixel:
+            raise InputError(
+                f"sample: the relief spans {axis} {at[0]:g} to {at[-1]:g} mm and does not cover "
+                f"what lies below the layer, {first:g} to {last:g} mm"
+            )
 
 
 def _field(values: xr.DataArray) -> Callable[[Array, Array], Array]:
@@ -392,6 +432,11 @@ def _sample_attributes(sample: Sample, size: tuple[float, float]) -> dict[str, A
         "sample_thickness_mm": float(sample.thickness),
         "sample_size_mm": [float(width) for width in size],
         "sample_relief": "flat" if sample.relief is None else "given",
+        **{
+            f"sample_relief_{key}": value
+            for key, value in ({} if sample.relief is None else sample.relief.attrs).items()
+            if key in ("source", "source_sha256")
+        },
     }
 
 

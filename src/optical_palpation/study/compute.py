@@ -14,7 +14,8 @@ import xarray as xr
 from optical_palpation.palpation import InputErrors, algebraic_result, computational_stress
 from optical_palpation.palpation.plausibility import check_stress
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.study.inputs import by_side, sample_motion
+from optical_palpation.stiffness import sample_stress
+from optical_palpation.study.inputs import by_side, modelled_sample, sample_motion
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
 from optical_palpation.thickness import (
     clean_thickness,
@@ -73,7 +74,8 @@ def thickness_of(study: Study, found: Mapping[str, xr.Dataset]) -> xr.Dataset:
     matched = match_initial_thickness(
         initial, cleaned["thickness"], glued=study.friction.sample_glued
     )
-    matched.attrs |= source
+    own = {key: v for key, v in matched.attrs.items() if not key.startswith("source")}
+    matched.attrs = own | source  # and not the file of the loaded thickness
     if isinstance(study.loaded, VolumeInput):
         attrs["specular_share"] = found["loaded"].attrs["specular_share"]
     result = xr.Dataset(
@@ -122,12 +124,12 @@ def stress_of(
     *,
     edge_check: bool = True,
 ) -> StressResult:
-    """Tactile stress by the computational method.
+    """Tactile stress by the computational method, with the sample in the model if it is given.
 
     Parameters
     ----------
     study
-        Material, friction, grid and the motion of the sample.
+        Material, friction, grid and the sample.
     thickness
         As from :func:`thickness_of`.
     progress, edge_check
@@ -136,9 +138,29 @@ def stress_of(
     Raises
     ------
     InputError, MaterialError, ConvergenceError
-        As that function does.
+        As that function or :func:`~optical_palpation.stiffness.sample_stress` does.
     """
     loaded = thickness["loaded_thickness"]
+    if (sample := modelled_sample(study)) is not None:
+        friction, size = study.friction, study.grid.element_size
+        # all else was refused when the study was read
+        assert isinstance(friction.window, float)
+        assert isinstance(friction.sample, float)
+        assert isinstance(size, float)
+        result = sample_stress(
+            # What was filled says nothing of the sample.
+            loaded.where(~thickness["filled"].astype(bool)),
+            thickness["initial_thickness"],
+            study.material.make(),
+            sample,
+            window_friction=friction.window,
+            sample_friction=friction.sample,
+            element_size=size,
+            smoothing=study.sample.stiffness_smoothing,
+            threads=study.grid.threads,
+            progress=progress,
+        )
+        return _with_thickness(result, thickness)
     result = computational_stress(
         loaded,
         thickness["initial_thickness"],

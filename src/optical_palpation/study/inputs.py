@@ -12,9 +12,10 @@ import xarray as xr
 from optical_palpation.errors import InputError
 from optical_palpation.files import readable_name
 from optical_palpation.palpation import read_sample_motion, uniform_motion
+from optical_palpation.stiffness import Sample
 from optical_palpation.study.record import sha256
 from optical_palpation.study.schema import MapInput, Study, VolumeInput, Volumes
-from optical_palpation.thickness import LayerFinder, find_layer
+from optical_palpation.thickness import LayerFinder, find_layer, read_height_map
 from optical_palpation.volume import Volume, open_volume
 
 _READING = ("variable", "axes", "spacing", "scale", "refractive_index", "origin", "untrusted")
@@ -108,12 +109,53 @@ def read_motion(study: Study) -> xr.Dataset | None:
         raise InputError(f"{study.file}, [sample]: {error}") from error
 
 
-def motion_facts(study: Study) -> dict[str, Any]:
-    """What the motion of the sample adds to the facts on which the stress depends."""
-    motion = study.sample.motion
-    if motion is None:
-        return {}
-    return {"sample": sha256(study.path(motion)) if isinstance(motion, str) else motion}
+def modelled_sample(study: Study) -> Sample | None:
+    """The sample as the inversion takes it, if the study gives it.
+
+    Raises
+    ------
+    InputError
+        If the file of its relief cannot be used.
+    """
+    given = study.sample
+    if given.thickness is None or given.plate_friction is None:
+        return None
+    try:
+        relief = None if given.relief is None else read_height_map(study.path(given.relief))
+    except InputError as error:
+        raise InputError(f"{study.file}, [sample]: {error}") from error
+    return Sample(
+        thickness=given.thickness,
+        compression=given.compression,
+        total_force=given.total_force,
+        plate_friction=given.plate_friction,
+        relief=relief,
+        size=given.size,
+        law=given.make_law(study.material.make()),
+    )
+
+
+def read_sample(study: Study) -> None:
+    """Read the files of the sample that the study names; raises InputError where they are useless.
+
+    Their content is checked with the layer's.
+    """
+    read_motion(study)
+    modelled_sample(study)
+
+
+def sample_input(study: Study) -> dict[str, dict[str, str]]:
+    """The file that the sample's table names and its hash, for the record."""
+    for key, name in study.sample.files.items():  # one at most
+        return {"sample": {key: name, "sha256": sha256(study.path(name))}}
+    return {}
+
+
+def sample_facts(study: Study) -> dict[str, Any]:
+    """What the sample adds to the facts on which the stress depends: its keys, of files hashes."""
+    given = study.sample.model_dump(mode="json", exclude_none=True)
+    given |= {key: sha256(study.path(name)) for key, name in study.sample.files.items()}
+    return {"sample": given} if given else {}
 
 
 class Unchanged:
@@ -155,8 +197,7 @@ def _paths(study: Study) -> Iterator[Path]:
         yield study.path(source.map if isinstance(source, MapInput) else source.volume)
         if isinstance(source, VolumeInput) and source.corrections:
             yield study.path(source.corrections)
-    if isinstance(study.sample.motion, str):
-        yield study.path(study.sample.motion)
+    yield from map(study.path, study.sample.files.values())
 
 
 def file_state(path: Path) -> list[tuple[str, int, int, int]] | None:

@@ -14,6 +14,9 @@ from optical_palpation.palpation.plausibility import (
     check_field,
     check_layer,
 )
+from optical_palpation.stiffness import check_sample
+from optical_palpation.study.compute import thickness_of
+from optical_palpation.study.inputs import by_side, modelled_sample
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
 from optical_palpation.thickness import read_thickness_map
 
@@ -69,12 +72,32 @@ def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
         check_elements(study.grid.element_size, (x1 - x0, y1 - y0), depth, what)
     except InputError as error:
         raise InputError(f"{where}, [grid]: {error}") from error
+    if study.sample.modelled:
+        _check_sample(study)
     smoothing, widest = study.grid.imprint_smoothing, 0.25 * min(x1 - x0, y1 - y0)
     if smoothing is not None and smoothing > widest:
         raise InputError(
             f"{where}: grid.imprint_smoothing = {smoothing:g} mm is larger than a quarter of the "
             f"field of view, {widest:g} mm, and would leave no relief (it is in mm)"
         )
+
+
+def _check_sample(study: Study) -> None:
+    """Refuse a sample that does not fit to the layer, whose thickness is known if it is a map."""
+    where = f"{study.file}, [sample]"
+    if study.sample.size is not None:
+        check_field(*study.sample.size, f"{where}, size")
+    sample = modelled_sample(study)
+    if sample is None or by_side(study):
+        return  # in volumes the layer has to be found first
+    try:
+        thickness = thickness_of(study, {})
+    except InputError as error:
+        raise InputError(f"{study.file}: {error}") from error
+    try:
+        check_sample(sample, thickness["loaded_thickness"], thickness["initial_thickness"])
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
 
 
 def _extent_of_volume(metadata: Mapping[str, Any]) -> tuple[list[float], list[float]]:

@@ -15,6 +15,7 @@ from optical_palpation.files import replacing
 from optical_palpation.material import Law
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present import read_result
+from optical_palpation.stiffness import Sample
 from optical_palpation.study.reading import changed, make_study, plain, read_study
 from optical_palpation.study.run import run_study
 from optical_palpation.study.schema import Study as StudyFile
@@ -49,7 +50,8 @@ class Study:
         ``{"element_size": 0.125, ...}``, or the size alone, mm.
     tables
         Further tables of a study file: ``volumes``, ``layer``, ``sample``, ``outputs``, and
-        ``title``.
+        ``title``. As ``sample`` a :class:`~optical_palpation.stiffness.Sample`, too, which puts it
+        into the model.
     folder
         Folder from which file names count.
 
@@ -213,24 +215,25 @@ class Study:
             it = dict(given[side])
             for key in _PATHS:
                 if key in it:
-                    source = self._checked.path(it[key]).resolve()
-                    if source.is_relative_to(self._workspace.folder):
-                        beside = path.with_name(f"{path.stem}-{side}.nc")
-                        with replacing(beside) as temporary:
-                            temporary.write_bytes(source.read_bytes())
-                        source = beside
-                    inside = source.is_relative_to(path.parent)
-                    it[key] = str(source.relative_to(path.parent) if inside else source)
+                    whole = self._checked.path(it[key])
+                    it[key] = self._kept(whole, path.with_name(f"{path.stem}-{side}.nc"))
             given[side] = it
-        motion = given.get("sample", {}).get("motion")
-        if isinstance(motion, str):
-            given["sample"] = {
-                **given["sample"],
-                "motion": str(self._checked.path(motion).resolve()),
-            }
+        for key, name in self._checked.sample.files.items():
+            source = self._kept(self._checked.path(name), path.with_name(f"{path.stem}-{key}.nc"))
+            given["sample"] = {**given["sample"], key: source}
         with replacing(path) as temporary:
             temporary.write_text(tomli_w.dumps(given), encoding="utf-8")
         return type(self).read(path)
+
+    def _kept(self, source: Path, beside: Path) -> str:
+        """Name of a file as a study in the folder of `beside` says it, where a map is copied to."""
+        source = source.resolve()
+        if source.is_relative_to(self._workspace.folder):
+            with replacing(beside) as temporary:
+                temporary.write_bytes(source.read_bytes())
+            source = beside
+        inside = source.is_relative_to(beside.parent)
+        return str(source.relative_to(beside.parent) if inside else source)
 
     def _runnable(self) -> StudyFile:
         """The study as a file that can be run."""
@@ -253,11 +256,11 @@ class _Workspace:
         self.folder = Path(self._temporary.name).resolve()
         self._maps = 0
 
-    def keep(self, field: xr.DataArray) -> Path:
+    def keep(self, field: xr.DataArray, name: str = "thickness") -> Path:
         """Write a map that was given in memory."""
         self._maps += 1
         path = self.folder / f"map-{self._maps}.nc"
-        write_thickness_map(field.to_dataset(name="thickness"), path)
+        write_thickness_map(field.to_dataset(name=name), path)
         return path
 
 
@@ -285,10 +288,18 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
         return value.arguments
     if name == "grid" and not isinstance(value, Mapping):
         return {"element_size": plain(value)}
+    if name == "sample" and isinstance(value, Sample):
+        value = {key: of for key, of in vars(value).items() if of is not None}
     if name == "sample" and isinstance(value, Mapping):
-        motion = value.get("motion")
-        if isinstance(motion, str | os.PathLike):
-            return {**value, "motion": str((folder / motion).resolve())}
+        whole = {key: plain(of) for key, of in value.items() if not isinstance(of, xr.DataArray)}
+        for key, of in value.items():
+            if isinstance(of, xr.DataArray) and key == "relief":
+                whole[key] = str(workspace.keep(of, "height"))
+            elif key in ("motion", "relief") and isinstance(of, str | os.PathLike):
+                whole[key] = str((folder / of).resolve())
+            elif isinstance(of, Law):
+                whole[key] = of.arguments
+        return whole
     if name == "title":
         return value
     if not isinstance(value, Mapping):

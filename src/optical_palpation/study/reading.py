@@ -18,6 +18,7 @@ from pydantic import ValidationError
 from optical_palpation.errors import InputError, MaterialError, OutputError
 from optical_palpation.files import replacing
 from optical_palpation.study.schema import (
+    Errors,
     MapInput,
     NumberInput,
     Study,
@@ -192,13 +193,60 @@ def _check(study: Study) -> None:
             f"{study.file}: layer.registration = true needs an unloaded volume or map, not a number"
         )
     for table, values in (*study.inputs.items(), ("sample", study.sample)):
-        for key in ("volume", "map", "corrections", "motion"):
+        for key in ("volume", "map", "corrections", "motion", "relief"):
             name = getattr(values, key, None)
             if isinstance(name, str) and not study.path(name).exists():
                 raise InputError(
                     f"{study.file}: {table}.{key} = {as_toml(name)}: there is no "
                     f"{study.path(name)}; paths count from the folder of the study file"
                 )
+    _check_sample(study)
+
+
+def _check_sample(study: Study) -> None:
+    """Refuse a sample that is half given, or does not go with the rest of the study."""
+    given = study.sample.model_dump(exclude_defaults=True)
+    needed = {
+        "thickness": "mm",
+        "compression": "mm, or total_force, mN",
+        "plate_friction": "Coulomb coefficient",
+    }
+    of_model = sorted(given.keys() - {"motion"})
+    if not of_model:
+        return
+    where = f"{study.file}: [sample]"
+    known = given.keys() | ({"compression"} if "total_force" in given else set())
+    if absent := [f"{key} ({unit})" for key, unit in needed.items() if key not in known]:
+        raise InputError(
+            f"{where}: {', '.join(absent)}: missing; a sample that goes into the model, as "
+            f"{of_model[0]} says, needs {', '.join(needed)}"
+        )
+    if "motion" in given:
+        raise InputError(
+            f"{where}: motion and thickness exclude each other: with the sample in the model its "
+            "motion is found, and need not be given"
+        )
+    try:
+        study.sample.make_law(study.material.make())
+    except MaterialError as error:
+        raise MaterialError(f"{study.file}: sample.law: {error}") from None
+    friction, grid = study.friction, study.grid
+    refused = {
+        'friction.window = "glued"': friction.window == "glued",
+        'friction.sample = "glued"': friction.sample == "glued",
+        "friction.slip_length": friction.slip_length is not None,
+        f"grid.edges = {as_toml(grid.edges)}": grid.edges != "free",
+        "grid.imprint_smoothing": grid.imprint_smoothing is not None,
+        f"grid.solver = {as_toml(grid.solver)}": grid.solver != "auto",
+        "grid.element_size of three numbers": isinstance(grid.element_size, tuple),
+        "errors": study.errors != Errors(),
+    }
+    if found := [what for what, there in refused.items() if there]:
+        raise InputError(
+            f"{study.file}: {', '.join(found)}: not with the sample in the model ([sample]), where "
+            "the layer's sides are free, both of its faces slip, no imprint is smoothed, the "
+            "elements have one size, and the inputs have errors of their own: leave it out"
+        )
 
 
 _HINTS = {
@@ -208,6 +256,13 @@ _HINTS = {
     "c30": "kPa",
     "thickness": "mm",
     "motion": "the strain by which the sample spreads, 0.1 for 10 %, or a file",
+    "compression": "mm, how far the plate moves after layer and sample have met",
+    "plate_friction": "Coulomb coefficient between sample and plate, 0 to 2",
+    "total_force": "mN, on the window",
+    "relief": "a file of the heights of the unloaded surface",
+    "size": "mm, x and y",
+    "law": "how stress grows with strain",
+    "stiffness_smoothing": "about 0.001, next to none, to 10, next to uniform",
     "slip_length": "mm",
     "element_size": "mm, one number or three for x, y and z",
     "extent": "mm, x0, x1, y0, y1",
@@ -229,6 +284,8 @@ def _problems(error: ValidationError, given: Mapping[str, Any]) -> Iterator[str]
             del keys[1:2]  # the kind of input that pydantic puts there
             if len(keys) > 1 and _in(given, "volumes", keys[1]) and not _in(given, *keys[:2]):
                 continue  # inherited; it is reported where it stands
+        elif keys[:2] == ["sample", "law"]:
+            del keys[2:3]
         known = _known(keys[:-1], given)
         if problem["type"] == "extra_forbidden":
             yield f"{'.'.join(keys)} = {as_toml(problem['input'])}: {_unknown(keys, known)}"
@@ -302,5 +359,6 @@ def _known(keys: list[str], given: Mapping[str, Any]) -> list[str]:
         else:
             field = model.model_fields.get(key) if model else None
             types = [field.annotation, *getattr(field.annotation, "__args__", ())] if field else []
-            model = next((t for t in types if isinstance(t, type) and issubclass(t, Table)), None)
+            bare = [getattr(t, "__origin__", t) for t in types]  # without Annotated
+            model = next((t for t in bare if isinstance(t, type) and issubclass(t, Table)), None)
     return list(model.model_fields) if model else []

@@ -8,7 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from optical_palpation.errors import InputError
-from optical_palpation.study.inputs import Unchanged, facts, open_input, parameters, read_motion
+from optical_palpation.study.inputs import (
+    Unchanged,
+    facts,
+    open_input,
+    parameters,
+    read_sample,
+    sample_input,
+)
 from optical_palpation.study.plausible import check_study
 from optical_palpation.study.record import Progress, make_all
 from optical_palpation.study.schema import MapInput, Study
@@ -59,7 +66,7 @@ def describe_inputs(study: Study) -> str:
                     read_corrections(study.path(source.corrections))
         except InputError as error:
             raise InputError(f"{study.file}, [{side}]: {error}") from error
-    read_motion(study)
+    read_sample(study)
     check_study(study, inputs)
     return ", ".join(said)
 
@@ -105,11 +112,11 @@ def run_study(
             inputs[side] = facts(study, source)
         except InputError as error:
             raise InputError(f"{study.file}, [{side}]: {error}") from error
-    read_motion(study)  # should the file be useless, that is better known before all the work
+    read_sample(study)  # should a file be useless, that is better known before all the work
     about = {
         "study_sha256": study.sha256,
         "parameters": parameters(study),
-        "inputs": inputs,
+        "inputs": inputs | sample_input(study),
     }
     unchanged()
     check_study(study, inputs)

@@ -148,10 +148,48 @@ class Friction(Table):
         return self.sample == "glued"
 
 
+SampleLaw = Annotated[
+    Union[  # noqa: UP007
+        Annotated[Literal["neo-hookean", "layer"], Tag("name")], Annotated[Material, Tag("table")]
+    ],
+    Discriminator(lambda given: "table" if isinstance(given, Mapping | Table) else "name"),
+]
+
+
 class Sample(Table):
-    """How the sample's surface moves sideways: the strain by which it spreads, or a file."""
+    """How the sample's surface moves sideways; or the sample itself, which tells that.
+
+    ``motion`` is the strain by which the surface spreads, or a file. The other keys put the sample
+    into the model (:class:`~optical_palpation.stiffness.Sample`), mm and mN; ``relief`` is a
+    file of heights, ``law`` "layer" that of the layer.
+    """
 
     motion: Annotated[float, Field(gt=-0.5, lt=1)] | Text | None = None
+    thickness: Positive | None = None
+    compression: Positive | None = None
+    total_force: Positive | None = None
+    plate_friction: Annotated[float, Field(ge=0, le=2)] | None = None
+    relief: Text | None = None
+    size: Pair | None = None
+    law: SampleLaw = "neo-hookean"
+    stiffness_smoothing: Positive | None = None
+
+    @property
+    def modelled(self) -> bool:
+        """Whether the sample is in the model."""
+        return self.thickness is not None
+
+    def make_law(self, of_layer: Law) -> Law | None:
+        """Return the law of the sample, None for the default; raises MaterialError."""
+        if isinstance(self.law, Material):
+            return self.law.make()
+        return of_layer if self.law == "layer" else None
+
+    @property
+    def files(self) -> dict[str, str]:
+        """The files that it names, by key."""
+        both = {"motion": self.motion, "relief": self.relief}
+        return {key: name for key, name in both.items() if isinstance(name, str)}
 
 
 class Grid(Table):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from optical_palpation.study.inputs import finding, reading
-from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
+from optical_palpation.study.schema import MapInput, Material, NumberInput, Study, VolumeInput
 
 
 def reproducing_lines(study: Study) -> str:
@@ -21,7 +21,9 @@ def _lines(study: Study) -> Iterator[str]:
     friction = {f"{side}_friction": getattr(study.friction, side) for side in ("window", "sample")}
     if study.friction.slip_length is not None:
         friction["slip_length"] = study.friction.slip_length
-    yield "from optical_palpation import material, palpation, thickness"
+    modelled = study.sample.modelled
+    packages = "material, stiffness, thickness" if modelled else "material, palpation, thickness"
+    yield f"from optical_palpation import {packages}"
     if any(isinstance(source, VolumeInput) for source in study.inputs.values()):
         yield "from optical_palpation.volume import open_volume"
     yield ""
@@ -34,10 +36,15 @@ def _lines(study: Study) -> Iterator[str]:
             yield "shift = thickness.lateral_shift(loaded, unloaded)"
             yield "unloaded = thickness.shift_map(unloaded, shift)"
         yield 'unloaded = thickness.clean_thickness(unloaded)["thickness"]'
-    yield 'loaded = thickness.clean_thickness(loaded)["thickness"]'
-    law = study.material.make()
-    values = law.values | {"bulk_to_shear": law.bulk_to_shear}
-    yield f"silicone = material.{type(law).__name__}({_arguments(values)})"
+    if modelled:
+        yield "cleaned = thickness.clean_thickness(loaded)"
+        yield 'loaded = cleaned["thickness"].where(~cleaned["filled"])'
+    else:
+        yield 'loaded = thickness.clean_thickness(loaded)["thickness"]'
+    yield f"silicone = {_law(study.material)}"
+    if modelled:
+        yield from _with_sample(study, friction)
+        return
     errors = study.errors.model_dump(exclude_defaults=True)
     if errors:
         yield f"errors = palpation.InputErrors({_arguments(errors)})"
@@ -52,6 +59,36 @@ def _lines(study: Study) -> Iterator[str]:
     if errors:
         yield "    input_errors=errors,"
     yield ")"
+
+
+def _with_sample(study: Study, friction: Mapping[str, object]) -> Iterator[str]:
+    given, grid = study.sample, study.grid
+    options = given.model_dump(include={"thickness", "plate_friction", "total_force", "size"})
+    options = {key: value for key, value in options.items() if value is not None}
+    parts = [_arguments({"compression": given.compression} | options)]
+    if given.relief is not None:
+        yield f"relief = thickness.read_height_map({given.relief!r})"
+        parts.append("relief=relief")
+    if given.law == "layer":
+        parts.append("law=silicone")
+    elif isinstance(given.law, Material):
+        parts.append(f"law={_law(given.law)}")
+    yield f"sample = stiffness.Sample({', '.join(parts)})"
+    solving: dict[str, object] = {"element_size": grid.element_size}
+    if given.stiffness_smoothing is not None:
+        solving["smoothing"] = given.stiffness_smoothing
+    if grid.threads is not None:
+        solving["threads"] = grid.threads
+    yield "result = stiffness.sample_stress("
+    yield f"    loaded, unloaded, silicone, sample, {_arguments(friction)},"
+    yield f"    {_arguments(solving)}"
+    yield ")"
+
+
+def _law(given: Material) -> str:
+    law = given.make()
+    values = law.values | {"bulk_to_shear": law.bulk_to_shear}
+    return f"material.{type(law).__name__}({_arguments(values)})"
 
 
 def _measured(side: str, source: VolumeInput | MapInput, extent: object) -> Iterator[str]:

@@ -24,9 +24,9 @@ from optical_palpation.study.inputs import (
     by_side,
     find_boundaries,
     finding,
-    motion_facts,
     open_input,
     parameters,
+    sample_facts,
 )
 from optical_palpation.study.record import Make, Progress, Stage, Tell
 from optical_palpation.study.schema import MapInput, NumberInput, Study
@@ -79,8 +79,9 @@ class Stages:
         }
         facts = {"material": tables["material"], "glued": study.friction.sample_glued}
         stages.append(Stage(ALGEBRAIC, facts, [THICKNESS], self._algebraic, code=_SOLVING))
-        facts = tables | motion_facts(study)
-        stages.append(Stage(STRESS, facts, [THICKNESS], self._computational, code=_SOLVING))
+        facts = tables | sample_facts(study)
+        solving = ("stiffness", *_SOLVING) if study.sample.modelled else _SOLVING
+        stages.append(Stage(STRESS, facts, [THICKNESS], self._computational, code=solving))
         everything = parameters(study)
         del everything["outputs"]
         makers = {

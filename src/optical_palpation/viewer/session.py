@@ -81,9 +81,8 @@ class Session:
                     given[key] = str(study.path(given[key]).resolve())
             if corrections := given.pop("corrections", None):
                 session.corrections[side] = read_corrections(corrections)
-        motion = tables.get("sample", {}).get("motion")
-        if isinstance(motion, str):
-            tables["sample"]["motion"] = str(study.path(motion).resolve())
+        for key, name in study.sample.files.items():
+            tables["sample"][key] = str(study.path(name).resolve())
         session.tables, session._opened = tables, path
         return session
 

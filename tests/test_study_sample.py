@@ -1,0 +1,268 @@
+"""A study that gives the sample: found stiffness, what it depends on, and what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import optical_palpation as op
+from optical_palpation.errors import InputError, MaterialError
+from optical_palpation.experiment import Scene, run_experiment
+from optical_palpation.material import Yeoh
+from optical_palpation.present import read_result
+from optical_palpation.stiffness.sample import SAMPLE_MAPS
+from optical_palpation.study import describe_inputs, read_study, run_study
+from optical_palpation.study.inputs import facts
+from optical_palpation.study.run import check_study
+from optical_palpation.study.script import reproducing_lines
+from optical_palpation.study.stages import Stages
+from optical_palpation.thickness import thickness_map, write_thickness_map
+
+SAMPLE = """
+[sample]
+thickness = 1.0
+compression = 0.25
+plate_friction = 0.3
+"""
+STUDY = """
+[loaded]
+map = "loaded.nc"
+[unloaded]
+thickness = 0.5
+[material]
+c10 = 2.23
+c01 = 0.703
+[friction]
+window = 0.3
+sample = 0.3
+[grid]
+element_size = 0.25
+threads = 1
+"""
+MODULUS = 6 * (2.23 + 0.703)
+
+
+def heights(size=3.0):
+    x = np.linspace(0.0, size, 31)
+    values = 0.02 * np.cos(2 * np.pi * x)[None] * np.cos(x)[:, None]
+    return xr.DataArray(values, {"y": x, "x": x}, ("y", "x"), attrs={"units": "mm"})
+
+
+def write_heights(field, path):
+    field.to_dataset(name="height").to_netcdf(path, engine="h5netcdf")
+
+
+@pytest.fixture(scope="session")
+def pressed(tmp_path_factory):
+    """A folder with the loaded thickness of a virtual experiment: noisy, and with a gap."""
+    scene = Scene.model_validate(
+        {
+            "compression": 0.25,
+            "layer": {"size": (3.0, 3.0), "thickness": 0.5},
+            "sample": {"size": (3.0, 3.0), "thickness": 1.0},
+            "friction": {"window": 0.3, "sample": 0.3, "plate": 0.3},
+            "mesh": {"element_size": 0.3},
+            "pixel_spacing": 0.06,
+        }
+    )
+    maps = run_experiment(scene).maps
+    values = maps["loaded_thickness"].values
+    values = values + 1e-3 * np.random.default_rng(0).normal(size=values.shape)
+    middle = values.shape[0] // 2
+    values[middle - 2 : middle + 2, middle - 8 : middle - 4] = np.nan
+    measured = thickness_map(
+        values, x=maps["x"].values, y=maps["y"].values, layer_extent=(0.0, 3.0, 0.0, 3.0)
+    )
+    folder = tmp_path_factory.mktemp("sample")
+    write_thickness_map(measured.rename("thickness"), folder / "loaded.nc")
+    write_heights(heights(), folder / "relief.nc")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def finished(pressed):
+    (pressed / "study.toml").write_text(STUDY + SAMPLE)
+    return run_study(read_study(pressed / "study.toml")).folder
+
+
+@pytest.fixture
+def given(pressed):
+    """Read a study of the same maps with other text."""
+
+    def read(old="", new="", sample=SAMPLE):
+        text = STUDY + sample
+        assert old in text
+        path = pressed / "other.toml"
+        path.write_text(text.replace(old, new) if old else text)
+        return read_study(path)
+
+    return read
+
+
+def test_stiffness_is_found_and_the_file_says_everything(finished):
+    maps = read_result(finished / "stress.nc").maps
+    modulus = maps["sample_youngs_modulus"]
+    inside = {axis: slice(0.5, 2.5) for axis in "xy"}
+    assert float(modulus.sel(inside).median()) == pytest.approx(MODULUS, rel=0.15)
+    for name in SAMPLE_MAPS:
+        assert maps[name].attrs["units"] in ("kPa", "mm", "1")
+        assert maps[name].attrs["long_name"]
+    attrs = maps.attrs
+    assert attrs["compression_mm"] == 0.25
+    assert attrs["plate_friction"] == 0.3
+    assert attrs["input"] == "loaded.nc"
+    assert {"stress.nc", "stress.png", "report.html", "layer.vts"} <= {
+        path.name for path in finished.iterdir()
+    }
+    record = json.loads((finished / "provenance.json").read_text())
+    assert record["parameters"]["sample"]["plate_friction"] == 0.3
+    assert record["complete"]
+
+
+def test_what_was_filled_is_not_taken_as_measured(finished):
+    """The gap is filled for the thickness map, and the algebraic method says nothing there."""
+    maps = read_result(finished / "stress.nc").maps
+    gap = maps["filled"].sel(x=slice(0.5, 2.5), y=slice(0.5, 2.5))
+    assert bool(gap.any())
+    assert maps["axial_stress"].sel(x=slice(0.5, 2.5), y=slice(0.5, 2.5)).notnull().all()
+    assert maps["algebraic_axial_stress"].where(gap).isnull().all()
+
+
+def test_python_lines_give_the_same(finished, monkeypatch):
+    monkeypatch.chdir(finished.parent)
+    names = {}
+    exec(reproducing_lines(read_study("study.toml")), names)
+    of_file, again = read_result(finished / "stress.nc").maps, names["result"].maps
+    for name in ("axial_stress", "sample_youngs_modulus"):
+        np.testing.assert_allclose(of_file[name], again[name], rtol=1e-9)
+
+
+def stress_stage(study):
+    inputs = {side: facts(study, source) for side, source in study.inputs.items()}
+    return {stage.file: stage for stage in Stages(study).plan(inputs)}["stress.nc"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("thickness = 1.0", "thickness = 1.1"),
+        ("compression = 0.25", "compression = 0.26"),
+        ("compression = 0.25", "total_force = 90.0"),
+        ("plate_friction = 0.3", "plate_friction = 0.2"),
+        ("[sample]", "[sample]\nrelief = 'relief.nc'"),
+        ("[sample]", "[sample]\nsize = [4.0, 3.0]"),
+        ("[sample]", "[sample]\nlaw = 'layer'"),
+        ("[sample]", "[sample]\nstiffness_smoothing = 0.1"),
+    ],
+)
+def test_stress_depends_on_every_key_of_the_sample(given, old, new):
+    before, after = stress_stage(given()), stress_stage(given(old, new))
+    assert before.facts != after.facts
+    assert "stiffness" in after.code
+
+
+def test_stress_depends_on_what_the_relief_is_and_not_on_its_name(given, pressed):
+    study = given("[sample]", "[sample]\nrelief = 'relief.nc'")
+    before = stress_stage(study)
+    write_heights(heights(), pressed / "same.nc")
+    same = stress_stage(given("[sample]", "[sample]\nrelief = 'same.nc'"))
+    assert same.facts == before.facts
+    write_heights(0.5 * heights(), pressed / "relief.nc")
+    after = stress_stage(study)
+    write_heights(heights(), pressed / "relief.nc")
+    assert after.facts != before.facts
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("thickness = 1.0", "thickness = -1.0", ["sample.thickness = -1.0 (mm)", "greater than 0"]),
+        ("thickness = 1.0", "", ["thickness (mm): missing", "as compression says"]),
+        ("compression = 0.25", "", ["compression (mm, or total_force, mN): missing"]),
+        ("plate_friction = 0.3", "plate_friction = 3.0", ["sample.plate_friction", "less than"]),
+        ("compression", "compresion", ["did you mean compression?"]),
+        ("[sample]", "[sample]\nmotion = 0.1", ["motion and thickness exclude each other"]),
+        ("[sample]", "[sample]\nrelief = 'lost.nc'", ["sample.relief", "there is no"]),
+        ("[sample]", "[sample]\nsize = [3.0]", ["sample.size", "mm, x and y"]),
+        ("[sample]", "[sample]\nlaw = 'yeoh'", ["sample.law", "'neo-hookean' or 'layer'"]),
+        ("[sample]", "[sample]\nlaw = { law = 'yeoh' }", ["sample.law.c10: is missing (kPa)"]),
+        ("[sample]", "[sample]\nstiffness_smoothing = 0", ["about 0.001", "greater than 0"]),
+        ("threads = 1", "edges = 'padded'", ['grid.edges = "padded"', "free"]),
+        ("threads = 1", "imprint_smoothing = 0.1", ["grid.imprint_smoothing", "no imprint"]),
+        ("threads = 1", "solver = 'direct'", ['grid.solver = "direct"']),
+        ("element_size = 0.25", "element_size = [0.2, 0.2, 0.1]", ["element_size of three"]),
+        ("window = 0.3", "window = 'glued'", ['friction.window = "glued"', "slip"]),
+        ("sample = 0.3", "sample = 0.3\nslip_length = 0.001", ["friction.slip_length"]),
+        ("[sample]", "[errors]\nwindow_friction = 0.1\n[sample]", ["errors: not with", "own"]),
+    ],
+)
+def test_samples_that_cannot_be_used_are_refused_on_reading(given, old, new, words):
+    with pytest.raises(InputError) as error:
+        given(old, new)
+    for word in ["other.toml", *words]:
+        assert word in str(error.value)
+
+
+def test_an_unstable_law_is_refused(given):
+    with pytest.raises(MaterialError, match=r"sample\.law: unstable"):
+        given("[sample]", "[sample]\nlaw = { c10 = -1.0 }")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ("compression = 0.25", "compression = 1.6", "more than layer and sample together"),
+        ("compression = 0.25", "compression = 0.02", "plate cannot have moved less"),
+        ("thickness = 1.0", "thickness = 2000.0", "divide by 1000 if it is in um"),
+        ("thickness = 0.5", "thickness = 0.3", "nowhere thinner|nothing is pressed"),
+        ("[sample]", "[sample]\nsize = [3000.0, 3000.0]", "size: the field of view"),
+        ("[sample]", "[sample]\nrelief = 'narrow.nc'", "the relief spans x 0 to 2 mm"),
+        ("[sample]", "[sample]\nrelief = 'gap.nc'", "the relief has 3 missing values"),
+        ("[sample]", "[sample]\nrelief = 'high.nc'", "relief is 4 mm from its lowest"),
+        ("[sample]", "[sample]\nrelief = 'damaged.nc'", "damaged.nc"),
+    ],
+)
+def test_check_refuses_a_sample_that_does_not_fit_to_the_maps(given, pressed, old, new, match):
+    write_heights(heights(2.0), pressed / "narrow.nc")
+    gap = heights()
+    gap[3, 3:6] = np.nan
+    write_heights(gap, pressed / "gap.nc")
+    write_heights(100 * heights(), pressed / "high.nc")
+    (pressed / "damaged.nc").write_bytes(b"CDF damaged")
+    study = given(old, new)
+    with pytest.raises(InputError, match=match) as error:
+        describe_inputs(study)
+    assert "other.toml" in str(error.value)
+    assert not study.folder.exists()
+
+
+def test_check_takes_what_can_be_used(given):
+    study = given("[sample]", "[sample]\nrelief = 'relief.nc'\nlaw = 'layer'\nsize = [4.0, 4.0]")
+    assert "loaded map" in describe_inputs(study)
+    assert "relief=relief" in reproducing_lines(study)
+    check_study(study, {})
+
+
+def test_a_study_in_python_takes_a_sample(pressed, tmp_path):
+    sample = op.Sample(1.0, 0.25, 0.3, relief=heights(), law=Yeoh(c10=2.0, c20=1.0))
+    study = op.Study(
+        loaded={"map": str(pressed / "loaded.nc")},
+        unloaded=0.5,
+        material=op.MooneyRivlin(2.23, 0.703),
+        friction={"window": 0.3, "sample": 0.3},
+        grid=0.25,
+        sample=sample,
+    )
+    told = study.parameters["sample"]
+    assert (told["thickness"], told["compression"], told["plate_friction"]) == (1.0, 0.25, 0.3)
+    assert told["law"]["c20"] == 1.0
+    saved = study.save(tmp_path / "study.toml")
+    assert saved.parameters["sample"]["relief"] == "study-relief.nc"
+    assert (tmp_path / "study-relief.nc").is_file()
+    assert "loaded map" in describe_inputs(read_study(tmp_path / "study.toml"))
+    thicker = study.with_(sample={"thickness": 1.2})
+    assert thicker.parameters["sample"]["compression"] == 0.25
+    assert thicker.parameters["sample"]["thickness"] == 1.2
+    with pytest.raises(InputError, match=r"sample\.thickness = -1"):
+        study.with_(sample={"thickness": -1})
