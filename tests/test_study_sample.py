@@ -1,16 +1,25 @@
 """A study that gives the sample: found stiffness, what it depends on, and what is refused."""
 
 import json
+import re
 
 import numpy as np
 import pytest
+import tifffile
 import xarray as xr
+from scipy.io import loadmat
 
 import optical_palpation as op
+from optical_palpation.analysis import region_statistics
 from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.experiment import Scene, run_experiment
 from optical_palpation.material import Yeoh
-from optical_palpation.present import read_result
+from optical_palpation.palpation import StressResult
+from optical_palpation.palpation.plausibility import SOFT_SAMPLE
+from optical_palpation.present import read_result, write_profiles, write_tiff
+from optical_palpation.present.figure import new_figure
+from optical_palpation.present.panel import draw_panel, panel_height
+from optical_palpation.present.report import write_report
 from optical_palpation.stiffness.sample import SAMPLE_MAPS
 from optical_palpation.study import describe_inputs, read_study, run_study
 from optical_palpation.study.inputs import facts
@@ -245,7 +254,7 @@ def test_check_takes_what_can_be_used(given):
 
 
 def test_a_study_in_python_takes_a_sample(pressed, tmp_path):
-    sample = op.Sample(1.0, 0.25, 0.3, relief=heights(), law=Yeoh(c10=2.0, c20=1.0))
+    sample = op.Sample(1.0, 0.25, 0.3, relief=heights(), size=(3.0, 2.0), law=Yeoh(2.0, 1.0))
     study = op.Study(
         loaded={"map": str(pressed / "loaded.nc")},
         unloaded=0.5,
@@ -258,7 +267,8 @@ def test_a_study_in_python_takes_a_sample(pressed, tmp_path):
     assert (told["thickness"], told["compression"], told["plate_friction"]) == (1.0, 0.25, 0.3)
     assert told["law"]["c20"] == 1.0
     saved = study.save(tmp_path / "study.toml")
-    assert saved.parameters["sample"]["relief"] == "study-relief.nc"
+    assert saved.parameters["sample"]["size"] == [3.0, 2.0]
+    assert 'relief = "study-relief.nc"' in (tmp_path / "study.toml").read_text()
     assert (tmp_path / "study-relief.nc").is_file()
     assert "loaded map" in describe_inputs(read_study(tmp_path / "study.toml"))
     thicker = study.with_(sample={"thickness": 1.2})
@@ -266,3 +276,101 @@ def test_a_study_in_python_takes_a_sample(pressed, tmp_path):
     assert thicker.parameters["sample"]["thickness"] == 1.2
     with pytest.raises(InputError, match=r"sample\.thickness = -1"):
         study.with_(sample={"thickness": -1})
+
+
+def titles(maps):
+    with new_figure("double", panel_height(maps)) as figure:
+        draw_panel(maps, figure)
+        return {axes.get_title("left"): axes for axes in figure.axes}
+
+
+def as_rigid(maps):
+    """The same maps as of a sample of whose stiffness nothing can be told."""
+    names = [name for name in SAMPLE_MAPS if not name.startswith("sample_displacement")]
+    known = ("error_bands", "inversion", "misfit_over_tolerance", "force_error_mN")
+    rigid = maps.assign({name: maps[name] * np.nan for name in names})
+    rigid.attrs = {k: v for k, v in maps.attrs.items() if k not in known} | {"sample_rigid": "yes"}
+    return rigid
+
+
+def test_the_picture_has_the_modulus_where_there_is_one(finished):
+    maps = read_result(finished / "stress.nc").maps
+    unknown = (maps["x"] < 0.5) & (maps["y"] < 0.5)
+    maps["sample_youngs_modulus"] = maps["sample_youngs_modulus"].where(~unknown)
+    drawn = titles(maps)
+    assert "95 % band of the axial stress, \u00b1 (kPa)" in drawn
+    shown = drawn["Young's modulus of the sample (kPa)"].collections[0].get_array()
+    masked = np.ma.getmaskarray(np.ma.masked_invalid(shown)).reshape(unknown.shape)
+    np.testing.assert_array_equal(masked, maps["sample_youngs_modulus"].isnull())
+    assert masked.any()
+    assert not any("modulus" in title for title in titles(as_rigid(maps)))
+
+
+def page_data(path):
+    text = path.read_text(encoding="utf-8")
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.S)
+    return text, json.loads(found[1])
+
+
+def test_the_report_has_layers_numbers_and_parameters(finished):
+    text, data = page_data(finished / "report.html")
+    shown = {key: (entry["title"], entry["scale"]) for key, entry in data["maps"].items()}
+    assert shown["sample_youngs_modulus"][0] == "Young's modulus of the sample"
+    assert shown["sample_modulus_error"][0] == "95 % band of the modulus, \u00b1"
+    assert shown["axial_stress_error"][0] == "95 % band of the axial stress, \u00b1"
+    assert shown["thickness_misfit"][0] == "Computed less measured thickness"
+    assert set(shown) <= set(data["stage"])
+    assert data["scales"]["modulus"]["units"] == "kPa"
+    maps = read_result(finished / "stress.nc").maps
+    figures = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", text))
+    force = figures["Force on the sample, 95 % band"].split(" \u00b1 ")
+    assert float(force[0]) == pytest.approx(maps.attrs["sample_force_mN"], rel=0.1)
+    assert float(force[1].removesuffix(" mN")) == pytest.approx(
+        maps.attrs["force_error_mN"], rel=0.06
+    )
+    modulus = figures["Young&#39;s modulus of the sample, median"]
+    assert modulus.endswith("kPa")
+    assert figures["Forward solutions"] == str(maps.attrs["forward_solutions"])
+    for row in ('<th scope="row">compression</th><td>0.25 mm', "<td>0.3 (coefficient)"):
+        assert row in text
+    for name in json.loads(maps.attrs["error_bands"]):
+        assert f'<th scope="row">{name.replace("_", " ")}</th>' in text
+    assert "taken not to move sideways" not in text
+
+
+def test_a_rigid_sample_and_an_unknown_one_are_said_in_the_report(finished, tmp_path):
+    result = read_result(finished / "stress.nc")
+    texts = {"parameters": {}, "python": "", "title": "Study", "warnings": []}
+    nothing = {"loaded": None, "unloaded": None, "volumes": None}
+    rigid = StressResult(as_rigid(result.maps), result.layer)
+    write_report(tmp_path / "rigid.html", rigid, **nothing, **texts)
+    text, data = page_data(tmp_path / "rigid.html")
+    assert "as good as rigid" in text
+    assert SOFT_SAMPLE not in text
+    assert not {"sample_youngs_modulus", "thickness_misfit"} & set(data["maps"])
+    alone = StressResult(as_rigid(result.maps).drop_vars(list(SAMPLE_MAPS)), result.layer)
+    del alone.maps.attrs["sample_rigid"]
+    write_report(tmp_path / "alone.html", alone, **nothing, **texts)
+    assert SOFT_SAMPLE in page_data(tmp_path / "alone.html")[0]
+    alone.maps.attrs["sample_motion_largest_mm"] = 0.1
+    write_report(tmp_path / "moved.html", alone, **nothing, **texts)
+    assert SOFT_SAMPLE not in page_data(tmp_path / "moved.html")[0]
+
+
+def test_other_formats_and_regions_have_the_modulus(finished, tmp_path):
+    result = read_result(finished / "stress.nc")
+    result.save(tmp_path / "a.mat")
+    content = loadmat(tmp_path / "a.mat", squeeze_me=True, struct_as_record=False)
+    np.testing.assert_array_equal(
+        content["sample_youngs_modulus"], result.maps["sample_youngs_modulus"]
+    )
+    assert content["units"].sample_youngs_modulus == "kPa"
+    write_tiff(result, tmp_path / "a.tif", ["sample_youngs_modulus"])
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        assert "Young's modulus of the sample (kPa)" in str(file.imagej_metadata["Labels"])
+    write_profiles(result, tmp_path / "a.csv")
+    assert "sample_youngs_modulus_kPa" in (tmp_path / "a.csv").read_text()
+    region = op.Region.rectangle("middle", 1.0, 2.0, 1.0, 2.0)
+    found = region_statistics(result.maps, [region], "sample_youngs_modulus")
+    inside = result.maps["sample_youngs_modulus"].sel(x=slice(1, 2), y=slice(1, 2))
+    assert float(found["mean"][0]) == pytest.approx(float(inside.mean()), rel=0.05)

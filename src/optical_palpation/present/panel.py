@@ -24,9 +24,11 @@ def write_panel(result: StressResult, path: str | Path, width: Width = "double")
     Loaded thickness, axial stress by the algebraic and, if there is one, by the computational
     method on one colour scale, the state of contact with the sample, and the profiles through the
     centre along x and y. The colour scale spans the 1st to 99th percentile of both maps, so that
-    the few extreme values at the free edges do not hide the rest. Where the layer's sides change
-    the contact pressure by more than 5 % the map of the computational method is hatched. Thickness
-    and algebraic stress have the resolution of the image, not that of the elements.
+    the few extreme values at the free edges do not hide the rest. Of a sample in the model its
+    Young's modulus, left white where nothing is known of it, and the 95 % band of the stress. Where
+    the layer's sides change the contact pressure by more than 5 % the map of the computational
+    method is hatched. Thickness and algebraic stress have the resolution of the image, not that of
+    the elements.
 
     Parameters
     ----------
@@ -50,7 +52,13 @@ def panel_height(maps: xr.Dataset) -> float:
     """Height of the panel in mm at double width."""
     maps = on_layer(maps)
     across = float(np.ptp(maps["x"].values)) or 1.0
-    return 34.0 + 2 * 40.0 * float(np.clip(np.ptp(maps["y"].values) / across, 0.5, 1.6))
+    aspect = float(np.clip(np.ptp(maps["y"].values) / across, 0.5, 1.6))
+    return 34.0 + 2 * 40.0 * aspect + (17.0 + 40.0 * aspect) * _has_stiffness(maps)
+
+
+def _has_stiffness(maps: xr.Dataset) -> bool:
+    """Whether the stiffness of the sample is known anywhere."""
+    return "sample_youngs_modulus" in maps and bool(maps["sample_youngs_modulus"].notnull().any())
 
 
 def draw_panel(maps: xr.Dataset, figure: Figure, pixels: xr.Dataset | None = None) -> None:
@@ -70,10 +78,13 @@ def draw_panel(maps: xr.Dataset, figure: Figure, pixels: xr.Dataset | None = Non
     if not computational:
         fields["axial_stress"] = maps["axial_stress"]
     stress = common_limits({n: fields[n] for n in methods.values()}, "")
-    axes = figure.subplot_mosaic([list("TTAACC"), list("SSXXYY")] if computational else [
-        list("TA"), list("XY"),
-    ])  # fmt: skip
-    places = "TACS" if computational else "TA"
+    places, rows = ("TACS", ["TTAACC", "SSXXYY"]) if computational else ("TA", ["TA", "XY"])
+    if _has_stiffness(maps):
+        places, rows = "TACSME", ["TTAACC", "MMEESS", "XXXYYY"]
+        for name in ("sample_youngs_modulus", "axial_stress_error"):
+            shown.append(name)
+            fields[name] = maps[name]
+    axes = figure.subplot_mosaic([list(row) for row in rows])
     for place, name in zip(places, shown, strict=True):
         what = term(maps, name)
         draw_map(axes[place], fields[name], what, limits=stress if what.scale == "stress" else None)
@@ -84,7 +95,7 @@ def draw_panel(maps: xr.Dataset, figure: Figure, pixels: xr.Dataset | None = Non
     for axis, profile, measured in both:
         _plot_profile(axes[axis.upper()], axis, profile, measured, methods)
     axes["X"].legend()
-    letter([axes[place] for place in places + "XY"])
+    letter([axes[place] for place in dict.fromkeys("".join(rows))])
 
 
 def _plot_profile(

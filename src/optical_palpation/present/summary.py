@@ -54,8 +54,21 @@ def edge_influence(attrs: Mapping[Hashable, Any], always: bool = False) -> str:
     )
 
 
+def has_bands(attrs: Mapping[Hashable, Any]) -> bool:
+    """Whether the errors of a result are 95 % bands, which contain those of the mesh."""
+    return "error_bands" in attrs
+
+
+def of_unknown_sample(maps: xr.Dataset) -> str:
+    """Say what a result does not know that has no sample in the model, nor its motion; else ""."""
+    known = "sample_shear_modulus" in maps or "sample_motion_largest_mm" in maps.attrs
+    return "" if known or "sample_force_mN" not in maps.attrs else SOFT_SAMPLE
+
+
 def force_error(attrs: Mapping[Hashable, Any]) -> float | None:
     """Error of the total force, mN, of inputs and mesh together; None where neither is known."""
+    if has_bands(attrs):
+        return float(attrs["force_error_mN"])
     known = [float(attrs[k]) for k in ("force_error_mN", "force_mesh_error_mN") if k in attrs]
     return float(np.hypot.reduce(known)) if known else None
 
@@ -200,8 +213,8 @@ def summarise(result: StressResult) -> str:
         lines.append(f"sides of the layer: {sides}")
     if "sample_shear_modulus" in maps:
         lines += _of_sample(maps)
-    elif "sample_force_mN" in maps.attrs and "sample_motion_largest_mm" not in maps.attrs:
-        lines.append(SOFT_SAMPLE)
+    elif unknown := of_unknown_sample(maps):
+        lines.append(unknown)
     if open_share := maps.attrs.get("no_contact_share"):
         lines.append(f"not thinner than unloaded, so taken as open: {open_share:.2%} of the map")
     change = maps.attrs.get("volume_change_percent", 0.0)

@@ -13,7 +13,7 @@ from optical_palpation.palpation.result import ContactState
 # Perceptually uniform, and told apart by all kinds of colour vision. Brighter is more compressed,
 # as in the published maps: stress is negative there.
 STRESS, PRESSURE, LENGTH = "viridis_r", "viridis", "cividis"
-ERROR, DIFFERENCE, QUALITY = "magma", "vik", "cividis"
+ERROR, DIFFERENCE, QUALITY, MODULUS = "magma", "vik", "cividis", "plasma"
 # Okabe and Ito's palette, told apart by all kinds of colour vision.
 ALGEBRAIC, COMPUTATIONAL = "#D55E00", "#0072B2"
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -66,6 +66,12 @@ _TERMS = {
     "edge_influence": Term("Influence of the sides", "", ERROR, "edge_influence"),
     "axial_stress_error": Term("Error of the axial stress", "kPa", ERROR, "error"),
     "axial_stress_mesh_error": Term("Error of the mesh", "kPa", ERROR, "error"),
+    "sample_youngs_modulus": Term("Young's modulus of the sample", "kPa", MODULUS, "modulus"),
+    "sample_shear_modulus": Term("Shear modulus of the sample", "kPa", MODULUS, "shear_modulus"),
+    "sample_modulus_error": Term("95 % band of the modulus, ±", "", ERROR, "modulus_error"),
+    "sample_displacement_x": Term("Motion of the sample along x", "mm", DIFFERENCE, "motion"),
+    "sample_displacement_y": Term("Motion of the sample along y", "mm", DIFFERENCE, "motion"),
+    "thickness_misfit": Term("Computed less measured thickness", "mm", DIFFERENCE, "misfit"),
     "difference": Term("Difference", "kPa", DIFFERENCE, "difference"),
 }
 
@@ -78,6 +84,8 @@ def term(maps: xr.Dataset, name: str) -> Term:
     if (known := _TERMS.get(name)) is not None:
         if name == "axial_stress" and "contact_pressure" in maps:
             return replace(known, words="Axial stress, computational")
+        if name == "axial_stress_error" and "95 %" in str(field.attrs.get("long_name", "")):
+            return replace(known, words="95 % band of the axial stress, ±")
         return replace(known, units=units or known.units)
     words = str(field.attrs.get("long_name", name)).replace("_", " ")
     words = words[:1].upper() + words[1:]

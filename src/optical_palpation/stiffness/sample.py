@@ -35,6 +35,7 @@ from optical_palpation.stiffness.errors import Errors, InputErrors, propagated
 from optical_palpation.stiffness.forward import Columns, Model
 from optical_palpation.stiffness.inversion import Estimate, invert
 from optical_palpation.stiffness.measurement import ThicknessSurface
+from optical_palpation.thickness.cleaning import clean_thickness
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
 
@@ -407,6 +408,8 @@ def _as_imprint(
     progress: Callable[[Progress], None] | None,
 ) -> StressResult:
     """The layer on a rigid imprint: nothing can be said of the stiffness."""
+    if bool(loaded.isnull().any()):
+        loaded = clean_thickness(loaded)["thickness"]
     result = computational_stress(
         loaded,
         initial,
@@ -422,7 +425,9 @@ def _as_imprint(
         values = still if name.startswith("sample_displacement") else np.nan * still
         result.maps[name] = values.assign_attrs(units=units, long_name=text)
     result.maps.attrs |= _sample_attributes(sample, size)
-    result.maps.attrs |= {"compression_mm": sample.compression, "sample_rigid": "yes"}
+    if sample.compression is not None:
+        result.maps.attrs["compression_mm"] = float(sample.compression)
+    result.maps.attrs["sample_rigid"] = "yes"
     return result
 
 
@@ -595,4 +600,7 @@ def _result(
         "sides_force_share": sides / max(window, 1e-30),
         "slip_length_mm": stack.slip_length,
     }
-    return StressResult(maps, body_dataset(stack, state, LAYER))
+    pixels = xr.Dataset({"algebraic_axial_stress": algebraic, "loaded_thickness": loaded})
+    return StressResult(
+        maps, body_dataset(stack, state, LAYER), pixels=pixels.drop_attrs(deep=False)
+    )

@@ -18,6 +18,7 @@ from optical_palpation.present.summary import (
     edge_influence,
     equilibrium,
     force_error,
+    has_bands,
     input_errors,
     mesh_error,
 )
@@ -111,10 +112,20 @@ def map_entries(
         if str(variable) in known | {"quality"} or not is_map(field):
             continue
         what = term(maps, str(variable))
-        if what.colours in ("states", "flags"):
+        if what.colours in ("states", "flags") or not field.notnull().any():
             continue
+        group = "stress" if variable == "sample_youngs_modulus" else None
         force = 1.0 if variable == "contact_pressure" else 0.0
-        show(str(variable), what.words, what.scale, field, mask=of_stress, digits=3, force=force)
+        show(
+            str(variable),
+            what.words,
+            what.scale,
+            field,
+            group=group,
+            mask=of_stress,
+            digits=3,
+            force=force,
+        )
         scales.setdefault(what.scale, {"colours": what.colours, "units": what.units})
     for state, field in thickness.items():
         mask = of_stress if layers[state] is None else state
@@ -263,16 +274,18 @@ def key_figures(
     """The numbers that a reader wants first."""
     attrs, maps = result.maps.attrs, on_layer(result.maps)
     figures = []
+    bands = has_bands(attrs)
     if "sample_force_mN" in attrs:
         force = _rounded(attrs["sample_force_mN"], force_error(attrs))
-        figures.append(("Force on the sample", f"{force} mN"))
+        figures.append((f"Force on the sample{', 95 % band' * bands}", f"{force} mN"))
     names = {"computational": "axial_stress_error", "algebraic": "algebraic_axial_stress_error"}
     for method, stress in methods(result).items():
-        error = float(maps[names[method]].mean()) if names[method] in maps else 0.0
-        if method == "computational" and attrs.get("sample_force_mN"):
+        error = float(np.nan_to_num(maps[names[method]].mean())) if names[method] in maps else 0.0
+        if method == "computational" and attrs.get("sample_force_mN") and not bands:
             mesh = attrs.get("force_mesh_error_mN", 0.0) / attrs["sample_force_mN"]
             error = np.hypot(error, mesh * float(stress.mean()))
         figures.append((f"Mean stress, {method}", f"{_rounded(stress.mean(), error)} kPa"))
+    figures += _sample_figures(maps)
     if "contact_state" in maps:  # the algebraic method computes none
         touching = float(np.mean(maps["contact_state"].values != ContactState.OPEN))
         figures.append(("In contact with the sample", _percent(touching)))
@@ -286,6 +299,66 @@ def key_figures(
         if layer is not None and "filled" in layer:
             figures.append((f"Filled pixels, {state}", _percent(float(layer["filled"].mean()))))
     return figures
+
+
+def _sample_figures(maps: xr.Dataset) -> list[tuple[str, str]]:
+    """What was found of the sample, and how well it explains the thickness."""
+    attrs, figures = maps.attrs, []
+    if "sample_rigid" in attrs:
+        figures.append(("Sample", "as good as rigid; its stiffness cannot be told"))
+    if "sample_youngs_modulus" in maps and maps["sample_youngs_modulus"].notnull().any():
+        modulus = float(maps["sample_youngs_modulus"].median())
+        error = modulus * float(maps["sample_modulus_error"].median())
+        title = "Young's modulus of the sample, median"
+        figures.append((title, f"{_rounded(modulus, error)} kPa"))
+        known = float(maps["sample_youngs_modulus"].notnull().mean())
+        figures.append(("Modulus known", _percent(known)))
+    if "compression_error_mm" in attrs:
+        found = _rounded(attrs["compression_mm"], attrs["compression_error_mm"])
+        figures.append(("Travel of the plate, found", f"{found} mm"))
+    if "misfit_over_tolerance" in attrs:
+        off = 1e3 * attrs["thickness_misfit_mm"]
+        figures.append(("Misfit of the thickness", f"{off:.2g} \N{MICRO SIGN}m"))
+        times = f"{attrs['misfit_over_tolerance']:.2g}"
+        figures.append(("Misfit over noise and mesh error", times))
+    if "forward_solutions" in attrs:
+        figures.append(("Forward solutions", str(int(attrs["forward_solutions"]))))
+    return figures
+
+
+def band_rows(result: StressResult) -> list[tuple[str, str, str, str]]:
+    """What the error bands are made of: input, standard error, change of force and mean stress."""
+    try:
+        bands = json.loads(result.maps.attrs.get("error_bands", "{}"))
+        rows = []
+        for name, entry in bands.items():
+            error = float(entry["standard_error"])
+            changes = [
+                "unknown" if entry[key] is None else f"{_number(entry[key])} {units}"
+                for key, units in (("force_mN", "mN"), ("mean_stress_kPa", "kPa"))
+            ]
+            text = _number(error) if name.endswith("friction") else _percent(error)
+            rows.append((name.replace("_", " "), text, *changes))
+        return rows
+    except (TypeError, ValueError, KeyError, AttributeError):  # written by other software
+        return []
+
+
+def solution_rows(result: StressResult) -> list[tuple[str, str]]:
+    """Forward solutions of an inversion: elements, and misfit over what noise and mesh explain."""
+    try:
+        solutions = json.loads(result.maps.attrs.get("inversion", "[]"))
+        return [
+            (
+                f"{int(step['elements']):,}",
+                "for the sensitivities alone"
+                if step["misfit_over_tolerance"] is None
+                else f"{float(step['misfit_over_tolerance']):.3g}",
+            )
+            for step in solutions
+        ]
+    except (TypeError, ValueError, KeyError, AttributeError, OverflowError):
+        return []
 
 
 def _number(value: Any) -> str:
@@ -362,8 +435,8 @@ def _row(name: str, value: object, section: str) -> tuple[str, str]:
         unit = _UNITS.get(last, "")
         if section == "friction" or "friction" in last:
             unit = "(coefficient)"
-        if section == "sample" and last == "motion":
-            unit = "(strain)"
+        if section == "sample":
+            unit = _OF_SAMPLE.get(last, unit)
     return name, f"{text} {unit}" if unit and text != "not given" else text
 
 
@@ -393,6 +466,9 @@ _UNITS = {
         "mm",
     ),
 }
+
+
+_OF_SAMPLE = {"motion": "(strain)", "compression": "mm", "size": "mm", "total_force": "mN"}
 
 
 def _is_numeric(value: object) -> bool:

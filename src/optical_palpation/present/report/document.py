@@ -19,7 +19,7 @@ from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.output import provenance
 from optical_palpation.present.report import content
 from optical_palpation.present.report.bscans import draw_volume
-from optical_palpation.present.summary import summarise
+from optical_palpation.present.summary import of_unknown_sample, summarise
 from optical_palpation.runtime import software_version
 
 if TYPE_CHECKING:
@@ -40,6 +40,8 @@ SCRIPTS = (
     "page.js",
 )
 _MARK = "WARNING: "
+# Attributes of a result that the page shows as tables of their own.
+_IN_TABLES = ("convergence", "inversion", "error_bands")
 
 
 def write_report(
@@ -122,6 +124,7 @@ def write_report(
     data["convergence"] = content.convergence_rows(result)
 
     summary = summarise(result).splitlines()
+    soft = of_unknown_sample(result.maps)
     cautions = [line.removeprefix(_MARK) for line in summary if line.startswith(_MARK)]
     environment = Environment(loader=PackageLoader(__package__, "templates"), autoescape=True)
     script, style = (
@@ -139,7 +142,7 @@ def write_report(
         scans={state: _json(entry) for state, entry in scans.items()},
         both_thicknesses=unloaded is not None,
         quality=any(layer is not None and "quality" in layer for layer in layers.values()),
-        warnings=list(dict.fromkeys([*warnings, *cautions])),
+        warnings=list(dict.fromkeys([*warnings, *cautions, *([soft] if soft else [])])),
         figures=content.key_figures(result, loaded, unloaded),
         forces=content.force_rows(result),
         methods=list(content.methods(result)),
@@ -148,10 +151,12 @@ def write_report(
         regions=region_rows,
         result_file=None if result_file is None else quote(result_file),
         stress=content.stress_rows(result),
+        bands=content.band_rows(result),
+        solutions=content.solution_rows(result),
         convergence=data["convergence"],
         parameters=content.parameter_sections(parameters),
         record=content.parameter_sections(
-            {k: v for k, v in provenance(result.maps).items() if k != "convergence"}
+            {k: v for k, v in provenance(result.maps).items() if k not in _IN_TABLES}
         ),
         python=python,
     )
