@@ -35,6 +35,8 @@ _ON_THE_WAY, _COARSE = 100.0, 1000.0
 _PATH_SHARE, _PATH_ELEMENTS = 1 / 6, (3000, 16000)
 #: Elements (z, y, x) from which on a grid is made coarser along an axis.
 _HALVED = (4, 6, 6)
+#: Elements up to which an exact linear solver may take over where the iterative one gets stuck.
+_EXACT = 10_000
 
 
 @dataclass
@@ -177,6 +179,10 @@ def solve(
         record.extend((level.grid.n_elements, *step) for step in steps)
         return state
 
+    def exact(level: LayerProblem) -> Callable[[], LinearSolver] | None:
+        small = solver != "direct" and level.grid.n_elements <= _EXACT
+        return partial(make_solver, level, "direct") if small else None
+
     state: LayerState | None = None
     coarser: tuple[LayerProblem, LayerState] | None = None
     levels = grids(problem) if cascade else [problem]
@@ -197,7 +203,16 @@ def solve(
             try:
                 small = intermediate if level is problem else coarse
                 state, steps = follow(
-                    level, linear, wanted(level), small, rest, full, control, report, beside
+                    level,
+                    linear,
+                    wanted(level),
+                    small,
+                    rest,
+                    full,
+                    control,
+                    report,
+                    beside,
+                    exact(level),
                 )
             except LoadNotReached:
                 if level is problem:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
+from .factors import Factors
 from .system import NewtonSystem
 
 Vector = NDArray[np.floating]
@@ -45,7 +46,7 @@ class DirectSolver:
         """
         matrix = sparse_matrix(system.stencil, system.free)
         if system.flow is None and system.gamma == system.bulk_modulus:  # dp follows from du
-            solution = sparse_solve(matrix, system.rhs.ravel()).reshape(system.rhs.shape)
+            solution = _displacement(matrix, system.rhs)
             change = system.volume_change(solution) - system.volume_rhs
             return system.with_prescribed(solution), system.bulk_modulus / system.volume * change, 1
         out, into = _pressure_blocks(system)
@@ -57,6 +58,20 @@ class DirectSolver:
         both = sparse_solve(whole, rhs)
         u = both[: system.rhs.size].reshape(system.rhs.shape)
         return system.with_prescribed(u), both[system.rhs.size :].reshape(system.volume.shape), 1
+
+
+def _displacement(matrix: sp.csr_matrix, rhs: Vector) -> Vector:
+    """Solve for a field (3, nz + 1, ny + 1, nx + 1) of three unknowns per node."""
+    try:
+        import pypardiso  # noqa: F401
+    except ImportError:
+        by_node = np.arange(rhs.size).reshape(3, -1).T.ravel()
+        lateral = np.indices(rhs.shape[1:])[1:].reshape(2, -1).T.astype(float)
+        factors = Factors(sp.csr_matrix(matrix[by_node][:, by_node]), lateral)
+        solution = np.empty(rhs.size)
+        solution[by_node] = factors.solve(rhs.astype(float).ravel()[by_node, None])[:, 0]
+        return solution.reshape(rhs.shape)
+    return sparse_solve(matrix, rhs.ravel()).reshape(rhs.shape)
 
 
 def _pressure_blocks(system: NewtonSystem) -> tuple[sp.csr_matrix, sp.csr_matrix]:

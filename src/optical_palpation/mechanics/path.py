@@ -120,6 +120,7 @@ def follow(
     control: StepControl | None = None,
     report: Report | None = None,
     neighbours: Neighbours | None = None,
+    exact: Callable[[], LinearSolver] | None = None,
 ) -> tuple[LayerState, list[tuple[float, int]]]:
     """Load the layer fully, from ``start`` on.
 
@@ -133,6 +134,9 @@ def follow(
         An estimate of the fully loaded layer, towards which the first step is begun.
     neighbours
         What is to be followed beside it.
+    exact
+        Makes a linear solver that is exact, to be tried where load increments get small: thin
+        layers that stick make linear systems which the iterative one hardly solves.
 
     Returns
     -------
@@ -158,6 +162,10 @@ def follow(
             step = 0.5 * (load - path.state.load)
             if path.spent > path.allowed:
                 raise path.stopped(failure) from None
+            if step < _SNAP and exact is not None:
+                solver, exact = exact(), None
+                step = _SNAP
+                continue
             if step < _SNAP:
                 if neighbours:
                     neighbours.stop(
