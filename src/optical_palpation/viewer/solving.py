@@ -80,6 +80,7 @@ class Solving(QGroupBox):
         form.addRow(row)
         self.outcome = QLabel()
         self.outcome.setWordWrap(True)
+        self.outcome.setMinimumHeight(3 * self.outcome.fontMetrics().lineSpacing())
         form.addRow(self.outcome)
         self._form = form
         self._glued: set[str] = set()  # faces that the study says are glued
