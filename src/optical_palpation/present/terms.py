@@ -109,14 +109,15 @@ def common_limits(
 ) -> tuple[float, float]:
     """Colour limits that hold for all of these maps.
 
-    The values between which all but `share` percent at either end lie, so that the few extreme
-    ones at the edges do not hide the rest; about zero for a diverging colour map.
+    Between them lie, of each map, all values but `share` percent at either end, so that the few
+    extreme ones at the edges do not hide the rest; about zero for a diverging colour map. Maps
+    count alike, however many points they have.
     """
-    values = np.concatenate([f.values.astype(float).ravel() for f in fields.values()])
-    values = values[np.isfinite(values)]
-    if values.size == 0:
+    finite = (v[np.isfinite(v)] for v in (f.values.astype(float) for f in fields.values()))
+    ends = [np.percentile(values, [share, 100.0 - share]) for values in finite if values.size]
+    if not ends:
         return 0.0, 1.0
-    low, high = (float(v) for v in np.percentile(values, [share, 100.0 - share]))
+    low, high = float(np.min(ends)), float(np.max(ends))
     if colours == DIFFERENCE:
         high = max(abs(low), abs(high)) or 1.0
         return -high, high
