@@ -22,7 +22,7 @@ from optical_palpation.present.panel import draw_panel, panel_height
 from optical_palpation.present.report import write_report
 from optical_palpation.stiffness.sample import SAMPLE_MAPS
 from optical_palpation.study import describe_inputs, read_study, run_study
-from optical_palpation.study.inputs import facts
+from optical_palpation.study.inputs import facts, parameters
 from optical_palpation.study.run import check_study
 from optical_palpation.study.script import reproducing_lines
 from optical_palpation.study.stages import Stages
@@ -244,6 +244,11 @@ def test_check_refuses_a_sample_that_does_not_fit_to_the_maps(given, pressed, ol
         describe_inputs(study)
     assert "other.toml" in str(error.value)
     assert not study.folder.exists()
+
+
+def test_the_record_has_no_errors_of_inputs_that_are_not_used(given):
+    assert "errors" not in parameters(given())
+    assert "errors" in parameters(given(sample=""))
 
 
 def test_check_takes_what_can_be_used(given):

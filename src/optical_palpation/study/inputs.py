@@ -212,7 +212,9 @@ def file_state(path: Path) -> list[tuple[str, int, int, int]] | None:
 
 def parameters(study: Study) -> dict[str, Any]:
     """Return all parameters with their defaults; those of both volumes stand with each of them."""
-    return study.model_dump(mode="json", exclude_none=True, exclude={"volumes"})
+    # with the sample in the model the inputs have errors of their own
+    unused = {"volumes", "errors"} if study.sample.modelled else {"volumes"}
+    return study.model_dump(mode="json", exclude_none=True, exclude=unused)
 
 
 def by_side(study: Study) -> Mapping[str, VolumeInput]:
