@@ -208,9 +208,7 @@ def stress(
     ] = None,
     input_errors: Annotated[
         bool,
-        typer.Option(
-            help="Error bands from those of the inputs; they take about two thirds more time at 50 um."
-        ),
+        typer.Option(help="Error bands from those of the inputs; at 50 um, two thirds more time."),
     ] = True,
     variable: Annotated[
         str | None,
