@@ -132,6 +132,8 @@ def solve(
             element_size=element_size,
             solver=solver,
             threads=threads,
+            edge_check=False,  # the solution alone
+            input_errors=None,
         )
 
 

@@ -409,7 +409,8 @@ def test_client_that_is_killed_or_interrupted_goes_on_later(tmp_path, reference)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does on Ctrl-C
         _, err = process.communicate(timeout=120)
         if finished() < 4:
-            assert process.returncode == 130, err
+            # a shell shows death by the signal itself as 130 too
+            assert process.returncode in (130, -signal.SIGINT), err
             assert "interrupted" in err
             written = pd.read_csv(results / "scans.csv")
             assert len(written) == 4

@@ -262,7 +262,8 @@ def test_maps_and_numbers_in_place_of_volumes(here, run):
     make_study(here, inputs + STUDY[STUDY.index("[material]") :])
     status, out, _ = run("run", "study.toml")
     assert status == 0
-    assert "WARNING" not in out
+    warnings = [line for line in out.splitlines() if line.startswith("WARNING")]
+    assert all("sides of the layer" in line for line in warnings)  # those of a small layer matter
     command = ["stress", "pressed.npy", "--pixel-spacing", "0.03", "0.03", "--c10", "2.23"]
     command += ["--c01", "0.703", "--initial-thickness", "0.42", "--window-friction", "0.15"]
     command += ["--sample-friction", "0.05", "--element-size", "0.2", "0.2", "0.1"]

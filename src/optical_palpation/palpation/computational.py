@@ -265,9 +265,9 @@ def computational_stress(
     if of_rim is not None:
         maps.attrs["force_rim_model_mN"] = of_rim
     if edge_check:
-        if progress:
-            progress(Progress("influence of the sides", 1.0, newton))
         with limited_threads(threads):
+            if progress:
+                progress(Progress("influence of the sides", 1.0, newton))
             influence = edge_influence(
                 problem, edges, layer_extent_of(loaded), maps["x"].values, maps["y"].values
             )
@@ -275,9 +275,9 @@ def computational_stress(
         maps.attrs |= influence.attributes
     derivatives = None
     if input_errors is not None and input_errors.any:
-        if progress:
-            progress(Progress("sensitivities", 1.0, newton))
         with limited_threads(threads):
+            if progress:
+                progress(Progress("sensitivities", 1.0, newton))
             derivatives = sensitivities(
                 solution,
                 quantities,
