@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, ClassVar
 
@@ -62,16 +63,16 @@ class DirectSolver:
 
 def _displacement(matrix: sp.csr_matrix, rhs: Vector) -> Vector:
     """Solve for a field (3, nz + 1, ny + 1, nx + 1) of three unknowns per node."""
-    try:
-        import pypardiso  # noqa: F401
-    except ImportError:
+
+    def dissected(matrix: sp.csr_matrix, flat: Vector) -> Vector:
         by_node = np.arange(rhs.size).reshape(3, -1).T.ravel()
         lateral = np.indices(rhs.shape[1:])[1:].reshape(2, -1).T.astype(float)
         factors = Factors(sp.csr_matrix(matrix[by_node][:, by_node]), lateral)
         solution = np.empty(rhs.size)
-        solution[by_node] = factors.solve(rhs.astype(float).ravel()[by_node, None])[:, 0]
-        return solution.reshape(rhs.shape)
-    return sparse_solve(matrix, rhs.ravel()).reshape(rhs.shape)
+        solution[by_node] = factors.solve(flat.astype(float)[by_node, None])[:, 0]
+        return solution
+
+    return sparse_solve(matrix, rhs.ravel(), dissected).reshape(rhs.shape)
 
 
 def _pressure_blocks(system: NewtonSystem) -> tuple[sp.csr_matrix, sp.csr_matrix]:
@@ -125,14 +126,21 @@ def _compression(system: NewtonSystem) -> sp.csr_matrix:
     return sp.csr_matrix(matrix)
 
 
-def sparse_solve(matrix: sp.csr_matrix, rhs: Vector) -> Vector:
-    """Solve one sparse linear system with the best library at hand."""
+def _by_minimum_degree(matrix: sp.csr_matrix, rhs: Vector) -> Vector:
+    lu = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    return lu.solve(rhs)
+
+
+def sparse_solve(
+    matrix: sp.csr_matrix,
+    rhs: Vector,
+    otherwise: Callable[[sp.csr_matrix, Vector], Vector] = _by_minimum_degree,
+) -> Vector:
+    """Solve one sparse linear system with MKL PARDISO, or ``otherwise`` where there is none."""
     try:
         solver = pardiso()
     except ImportError:
-        return splu(
-            matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
-        ).solve(rhs)
+        return otherwise(matrix, rhs)
     try:
         # MKL is loaded only here, after the threads of the run were set
         with threadpool_limits(nb.get_num_threads(), user_api="blas"):

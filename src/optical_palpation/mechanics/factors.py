@@ -60,10 +60,11 @@ class Factors:
     def solve(self, rhs: Array) -> Array:
         """Solutions of right-hand sides, both (3 n, m)."""
         size, count = rhs.shape
-        blocks = -(-count // _TOGETHER)
-        work = np.zeros((blocks, size, _TOGETHER))
+        width = min(_TOGETHER, count)
+        blocks = -(-count // width)
+        work = np.zeros((blocks, size, width))
         for n in range(blocks):
-            part = rhs[self._first, n * _TOGETHER : (n + 1) * _TOGETHER]
+            part = rhs[self._first, n * width : (n + 1) * width]
             work[n, :, : part.shape[1]] = part
         lower, upper = self._lower, self._upper
         _solve(
@@ -73,7 +74,7 @@ class Factors:
         )
         out = np.empty((size, count))
         for n in range(blocks):
-            part = out[:, n * _TOGETHER : (n + 1) * _TOGETHER]
+            part = out[:, n * width : (n + 1) * width]
             part[self._last] = work[n, :, : part.shape[1]]
         return out
 

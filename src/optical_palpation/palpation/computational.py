@@ -18,7 +18,7 @@ from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
 from optical_palpation.mechanics.contact import side_contact
-from optical_palpation.mechanics.iteration import TOLERANCES
+from optical_palpation.mechanics.iteration import TOLERANCES, Iterate
 from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.palpation.accuracy import solve_to_accuracy
@@ -387,13 +387,20 @@ def outcome(solution: Solution, now: Balance) -> dict[str, Any]:
             ]
         ),
         "volume_change_percent": 100 * float(now.volume.sum() / now.volume_ref.sum() - 1),
+        **residuals(now),
+        "sides_force_share": float(sides.max()) / max(abs(window), 1e-30),
+    }
+
+
+def residuals(now: Iterate) -> dict[str, Any]:
+    """Attributes that say how near to equilibrium a solution is, of one body or of two."""
+    return {
         "status": "converged",
         "force_residual": now.force_error,
         "force_tolerance": TOLERANCES.force,
         "volume_residual": now.volume_error,
         "volume_tolerance": TOLERANCES.volume,
         "smallest_volume_ratio": now.min_jacobian,
-        "sides_force_share": float(sides.max()) / max(abs(window), 1e-30),
     }
 
 

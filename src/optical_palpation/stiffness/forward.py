@@ -37,13 +37,18 @@ class Columns:
         """Numbers of columns (y, x)."""
         return len(self.y) - 1, len(self.x) - 1
 
+    @property
+    def middles(self) -> tuple[Array, Array]:
+        """Middles of the columns along y and x, mm."""
+        return 0.5 * (self.y[1:] + self.y[:-1]), 0.5 * (self.x[1:] + self.x[:-1])
+
     def means(self, y: Array, x: Array) -> tuple[Array, Array]:
         """Matrices by which values of the columns are averaged between other borders."""
         return _overlaps(self.y, y), _overlaps(self.x, x)
 
     def at(self, values: Array, x: Array, y: Array) -> Array:
         """Values of the columns (y, x) at points, linearly between the middles of columns."""
-        middles = [0.5 * (borders[1:] + borders[:-1]) for borders in (self.y, self.x)]
+        middles = self.middles
         points = [np.clip(p, m[0], m[-1]) for p, m in zip((y, x), middles, strict=True)]
         at = RegularGridInterpolator(middles, values)
         return np.asarray(at(np.stack(points, axis=-1)), dtype=float)

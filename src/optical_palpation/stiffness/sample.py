@@ -20,13 +20,12 @@ from numpy.typing import NDArray
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law, NeoHookean
 from optical_palpation.mechanics.grid import node_positions
-from optical_palpation.mechanics.iteration import TOLERANCES
 from optical_palpation.mechanics.path import LoadNotReached
 from optical_palpation.mechanics.stack.assembly import Blocks, Mesh
 from optical_palpation.mechanics.stack.newton import balance
 from optical_palpation.mechanics.stack.problem import LAYER
 from optical_palpation.palpation.algebraic import algebraic_stress
-from optical_palpation.palpation.computational import Progress, computational_stress
+from optical_palpation.palpation.computational import Progress, computational_stress, residuals
 from optical_palpation.palpation.plausibility import WIDEST_FIELD, check_elements
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.stack_maps import body_dataset, observed_maps
@@ -379,10 +378,7 @@ class _Springs:
 
 
 def _springs(measured: ThicknessSurface, blocks: Blocks, columns: Columns) -> _Springs:
-    x, y = (
-        points.ravel()
-        for points in np.meshgrid(*(0.5 * (b[1:] + b[:-1]) for b in (columns.x, columns.y)))
-    )
+    y, x = (points.ravel() for points in np.meshgrid(*columns.middles, indexing="ij"))
     inside = measured.covers(x, y)
     x, y = x[inside], y[inside]
     unloaded, height = blocks.thickness(x, y), blocks.relief(x, y)
@@ -551,7 +547,6 @@ def _result(
         units, text = SAMPLE_MAPS[name]
         maps[name] = (("y", "x"), values, {"units": units, "long_name": text})
 
-    now = balance(stack, state)
     window, interface, plate = (float(force.sum()) for force in state.forces)
     sides = float(stack.sides.force(stack.position(state.u))[0].sum())
     window += sides
@@ -591,12 +586,7 @@ def _result(
             ]
         ),
         "error_bands": json.dumps(errors.inputs),
-        "status": "converged",
-        "force_residual": now.force_error,
-        "force_tolerance": TOLERANCES.force,
-        "volume_residual": now.volume_error,
-        "volume_tolerance": TOLERANCES.volume,
-        "smallest_volume_ratio": now.min_jacobian,
+        **residuals(balance(stack, state)),
         "sides_force_share": sides / max(window, 1e-30),
         "slip_length_mm": stack.slip_length,
     }
