@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 import optical_palpation as op
 from optical_palpation.batch import Batch, BatchResult, read_batch, run_batch, sweeping, worker_map
 from optical_palpation.batch.cluster import About, threads_of
-from optical_palpation.batch.run import _LOSSES
-from optical_palpation.batch.scan import Outcome, predicted_need
+from optical_palpation.batch.dispatch import LOSSES, Dispatcher, Outcome
+from optical_palpation.batch.scan import predicted_need
 from optical_palpation.errors import ConvergenceError, InputError, OpticalPalpationError
 from optical_palpation.friction import calibration_curves
 from optical_palpation.present import read_result
@@ -426,12 +426,11 @@ def test_client_that_is_killed_or_interrupted_goes_on_later(tmp_path, reference)
     assert not leftovers
 
 
-def test_scan_that_ends_its_workers_is_given_up(tmp_path, monkeypatch):
-    """A dispatcher on workers that vanish: no other scan suffers."""
-    from optical_palpation.batch import run
+def test_job_that_ends_its_workers_is_given_up(monkeypatch):
+    """A dispatcher on workers that vanish: no other job suffers."""
     from optical_palpation.batch.cluster import Workers
 
-    scans = read_batch(_plain(tmp_path, ["good", "deadly", "fine"])).scans
+    names = ["good", "deadly", "fine"]
 
     class Scheduler:
         def identity(self, n_workers):
@@ -446,7 +445,7 @@ def test_scan_that_ends_its_workers_is_given_up(tmp_path, monkeypatch):
             return self.status == "finished"
 
         def result(self):
-            return run.Outcome(self.name, "done")
+            return Outcome(self.name, "done")
 
     class Client:
         scheduler = Scheduler()
@@ -460,12 +459,12 @@ def test_scan_that_ends_its_workers_is_given_up(tmp_path, monkeypatch):
         def run(self, function, workers, on_error):
             return dict.fromkeys(workers, function())
 
-        def submit(self, function, scan, *_, **options):
+        def submit(self, function, work, name, *_, **options):
             assert options["workers"] == [self.workers[0]]
-            if scan.name == "deadly":  # takes its worker along, and another comes
+            if name == "deadly":  # takes its worker along, and another comes
                 self.count += 1
                 self.workers = [f"w{self.count}"]
-            return Future(scan.name)
+            return Future(name)
 
         def subscribe_topic(self, *_):
             pass
@@ -477,12 +476,11 @@ def test_scan_that_ends_its_workers_is_given_up(tmp_path, monkeypatch):
 
     monkeypatch.setattr("distributed.wait", lambda *_, **__: None)
     outcomes = {}
-    needs = dict.fromkeys((scan.name for scan in scans), 1e9)
+    needs = dict.fromkeys(names, 1e9)
     client = Client()
-    run._Dispatcher(
-        Workers(client, None), tmp_path, list(scans), needs, outcomes, lambda _: None
-    ).run()
-    assert client.count == _LOSSES
+    crew = Workers(client, None)
+    Dispatcher(crew, None, dict.fromkeys(names), needs, outcomes, lambda _: None).run()
+    assert client.count == LOSSES
     assert {name: outcome.status for name, outcome in outcomes.items()} == {
         "good": "done",
         "fine": "done",
@@ -492,28 +490,20 @@ def test_scan_that_ends_its_workers_is_given_up(tmp_path, monkeypatch):
     assert "1.0 GB" in outcomes["deadly"].message
 
 
-def test_memory_of_this_machine_is_not_promised_twice(tmp_path):
-    from optical_palpation.batch import run
+def test_memory_of_this_machine_is_not_promised_twice():
     from optical_palpation.batch.cluster import Workers, _workers_for
 
-    scans = read_batch(_plain(tmp_path, ["a", "b", "c"])).scans
     needs = {"a": 6e9, "b": 1e9, "c": 3e9}
     crew = Workers(None, memory=9e9, process=0.5e9)
-    dispatcher = run._Dispatcher(crew, tmp_path, list(scans), needs, {}, lambda _: None)
-    assert dispatcher._fits(scans[0])
-    dispatcher.running = {"a": (scans[0], "w0", None)}
-    assert dispatcher._fits(scans[1])  # 0.5 + 6 + 0.5 + 1
-    assert not dispatcher._fits(scans[2])
+    dispatcher = Dispatcher(crew, None, dict.fromkeys(needs), needs, {}, lambda _: None)
+    assert dispatcher._fits("a")
+    dispatcher.running = {"a": ("w0", None)}
+    assert dispatcher._fits("b")  # 0.5 + 6 + 0.5 + 1
+    assert not dispatcher._fits("c")
     assert _workers_for([1e9] * 10, 4, 100e9) == 4
     assert _workers_for([1e9] * 2, 4, 100e9) == 2
     assert _workers_for([1e9] * 10, 4, 3.2e9) == 2
     assert _workers_for([None, 50e9], 4, 3e9) == 1
-
-
-def _plain(folder, names):
-    path = folder / "plain.csv"
-    path.write_text("\n".join(["name,study", *(f"{name},study.toml" for name in names)]))
-    return path
 
 
 def test_no_scheduler_there(tmp_path):

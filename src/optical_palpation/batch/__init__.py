@@ -1,8 +1,9 @@
 """Many studies at once, on Dask: on this machine or on a cluster."""
 
 from optical_palpation.batch.cluster import worker_map
+from optical_palpation.batch.dispatch import BatchProgress
 from optical_palpation.batch.reading import Batch, Scan, read_batch
-from optical_palpation.batch.run import BatchProgress, BatchResult, run_batch
+from optical_palpation.batch.run import BatchResult, run_batch
 from optical_palpation.batch.sweeping import sweep
 
 __all__ = [

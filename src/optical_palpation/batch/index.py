@@ -12,8 +12,8 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
+from optical_palpation.batch.dispatch import Outcome
 from optical_palpation.batch.reading import Batch
-from optical_palpation.batch.scan import Outcome
 from optical_palpation.batch.table import CSV, PARQUET
 from optical_palpation.files import replacing
 from optical_palpation.runtime import software_version

@@ -8,7 +8,6 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from optical_palpation.batch.dispatch import Outcome
 from optical_palpation.batch.reading import Scan
 from optical_palpation.errors import FolderBusyError, OpticalPalpationError
 
@@ -25,46 +25,15 @@ _BUSY = 60.0  # s
 RESULT, RECORD = "stress.nc", "provenance.json"
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a scan.
-
-    Attributes
-    ----------
-    name
-        Of the scan.
-    status
-        ``done``, ``earlier`` (an earlier run had done it all) or ``failed``.
-    message
-        Why it failed.
-    error
-        Name of the class of the error that it failed with.
-    row
-        Its entries in the table, by column.
-    thumbnail
-        Small map of the axial stress, kPa, or None.
-    seconds
-        How long it took this time.
-    """
-
-    name: str
-    status: str
-    message: str = ""
-    error: str = ""
-    row: dict[str, Any] = field(default_factory=dict)
-    thumbnail: NDArray[np.float32] | None = None
-    seconds: float = 0.0
-
-
-def run_scan(scan: Scan, folder: Path, threads: int | None, tell: Callable[[Any], None]) -> Outcome:
+def run_scan(folder: Path, scan: Scan, threads: int | None, tell: Callable[[Any], None]) -> Outcome:
     """Run the study of a scan and read its row; what fails is told and not raised.
 
     Parameters
     ----------
-    scan
-        The scan.
     folder
         Folder of the batch.
+    scan
+        The scan.
     threads
         Number of threads; all by default.
     tell

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from optical_palpation.batch.dispatch import BatchProgress
 from optical_palpation.batch.reading import Batch, Scan
-from optical_palpation.batch.run import BatchProgress, run_batch
+from optical_palpation.batch.run import run_batch
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.present import read_result
 from optical_palpation.study import Progress

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from optical_palpation.batch.dispatch import Outcome
 from optical_palpation.batch.reading import Batch
-from optical_palpation.batch.scan import Outcome
 from optical_palpation.errors import OutputError
 from optical_palpation.files import check_target, replacing
 from optical_palpation.runtime import software_version
