@@ -297,6 +297,10 @@ def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
         problem.own_sides, (1, 1, 2, 2), (0, len(grid.y) - 1, 0, len(grid.x) - 1), strict=True
     ):
         sides += own & (nodes[d][:count] == last)
+    for mirror, d, last in zip(
+        problem.mirrors, (1, 1, 2, 2), (0, len(grid.y) - 1, 0, len(grid.x) - 1), strict=True
+    ):
+        sides[mirror & (nodes[d][:count] == last)] *= 0.5
     c = SIDE_PENALTY * problem.shear_modulus * sides * 0.5 * (dx + dy) * first / band
     x0, y0 = (grid.nodes[n][nodes][:count] for n in range(2))
     height = problem.imprint.evaluate(x0, y0, state.load)[0]

@@ -136,9 +136,7 @@ def balance(
             out[:, k] = 0.0
     if problem.edges == "free":
         out[:, *problem.grid.side_nodes] += contact.sides.force
-    if problem.edges == "roller":
-        out[0, :, :, [0, -1]] = 0.0
-        out[1, :, [0, -1], :] = 0.0
+    problem.hold_sides(out, 0.0)
     imbalance = float(np.hypot(np.linalg.norm(out), np.linalg.norm(contact.violation)))
     return Balance(
         state=state,

@@ -18,6 +18,8 @@ from .imprint import Imprint
 
 Array = NDArray[np.float64]
 WINDOW, SAMPLE = 0, 1
+#: One value for each side: the lowest and highest in y, then in x.
+Sides = tuple[bool, bool, bool, bool]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,9 @@ class LayerProblem:
         Coulomb coefficients at the window and at the sample side; that of a glued face is not used.
     edges
         ``free`` sides carry no stress; ``roller`` sides have no normal displacement.
+    mirrors
+        Which sides are planes of symmetry instead: the lowest and highest in y, then in x. Two
+        opposite ones make plane strain.
     slip_length
         Slip, mm, over which friction builds up (the smoothing of Coulomb's law).
     rim_smoothing
@@ -60,6 +65,7 @@ class LayerProblem:
     law: Law
     friction: tuple[float, float]
     edges: Literal["free", "roller"] = "free"
+    mirrors: Sides = (False, False, False, False)
     slip_length: float = 1e-3
     rim_smoothing: float = 0.0
     curved_sides: bool = False
@@ -88,12 +94,19 @@ class LayerProblem:
         return None if self.surroundings is None else self.surroundings.border(self.grid)
 
     @property
-    def own_sides(self) -> tuple[bool, bool, bool, bool]:
+    def own_sides(self) -> Sides:
         """Which sides are the layer's own: the lowest and highest in y, then in x."""
-        if self.surroundings is None:
-            return True, True, True, True
-        y0, y1, x0, x1 = self.surroundings.cut(self.grid)
-        return not y0, not y1, not x0, not x1
+        no_cut = (False, False, False, False)
+        cut = no_cut if self.surroundings is None else self.surroundings.cut(self.grid)
+        y0, y1, x0, x1 = (not (a or b) for a, b in zip(cut, self.mirrors, strict=True))
+        return y0, y1, x0, x1
+
+    def hold_sides(self, field: NDArray, value: float | bool) -> None:
+        """Set a nodal field (3, ...) to a value where sides have no normal displacement."""
+        for number, mirror in enumerate(self.mirrors):
+            if mirror or self.edges == "roller":
+                axis, end = divmod(number, 2)
+                np.moveaxis(field[1 - axis], 1 + axis, 0)[-end] = value
 
     @cached_property
     def rim(self) -> NDArray[np.bool_]:

@@ -207,9 +207,7 @@ def constraints(
     for face, k in ((WINDOW, 0), (SAMPLE, -1)):
         if problem.glued[face]:
             free[:, k] = False
-    if problem.edges == "roller":
-        free[0, :, :, [0, -1]] = False
-        free[1, :, [0, -1], :] = False
+    problem.hold_sides(free, False)
     return free, contact.step
 
 
