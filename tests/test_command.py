@@ -168,13 +168,13 @@ def wait_until_it_runs(begun):
 
 
 def test_a_file_that_cannot_be_written_keeps_the_others_and_has_a_status(here, run, monkeypatch):
-    from optical_palpation import present
     from optical_palpation.errors import OutputError
+    from optical_palpation.present.writing import WRITERS
 
     def full(result, path):
         raise OutputError(f"{path}: could not be written (No space left on device)")
 
-    monkeypatch.setattr(present, "write_panel", full)
+    monkeypatch.setitem(WRITERS, "picture", full)
     status, out, err = run(*ALGEBRAIC, "--plot", "o.png", "--profiles", "o.csv")
     assert status == 4
     assert "No space left on device" in err

@@ -21,10 +21,11 @@ from optical_palpation.cli.experiment import experiment
 from optical_palpation.cli.friction import friction
 from optical_palpation.cli.grammar import Command
 from optical_palpation.cli.material import material
+from optical_palpation.cli.options import ElementSizeCommand
 from optical_palpation.cli.reproduce import reproduce
 from optical_palpation.cli.results import compare, convert, figure, regions, report
 from optical_palpation.cli.sample import sample
-from optical_palpation.cli.stress import StressCommand, stress
+from optical_palpation.cli.stress import stress
 from optical_palpation.cli.study import new, run
 from optical_palpation.cli.submodel import submodel
 from optical_palpation.cli.thickness import thickness
@@ -91,7 +92,7 @@ _EPILOGS: dict[Callable[..., None], str] = {
     convert: "Example: optical-palpation convert stress.nc --output stress.mat --output stress.tif",
 }
 for command, epilog in _EPILOGS.items():
-    kind = StressCommand if command in (stress, submodel) else Command
+    kind = ElementSizeCommand if command in (stress, submodel) else Command
     app.command(cls=kind, epilog=epilog)(command)
 
 

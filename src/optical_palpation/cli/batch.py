@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import MofNCompleteColumn
+
+from optical_palpation.cli.options import Quiet, Scheduler, Workers
+from optical_palpation.cli.progress import Display
 
 if TYPE_CHECKING:
     from optical_palpation.batch import BatchProgress
@@ -39,20 +40,9 @@ def batch(
             help="Regions of interest for all scans (ImageJ, napari, CSV or a mask).",
         ),
     ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Address of a running Dask scheduler, or its scheduler file (.json).",
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            metavar="NUMBER", help="Workers on this machine.  [default: as cores and memory allow]"
-        ),
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
+    quiet: Quiet = False,
 ) -> None:
     """Run many studies at once, here or on a Dask cluster; one table and one page of all.
 
@@ -62,7 +52,7 @@ def batch(
     from optical_palpation.batch import read_batch, run_batch
 
     asked = read_batch(source, output, regions)
-    with _Display(quiet) as display:
+    with BatchDisplay(quiet) as display:
         done = run_batch(asked, scheduler=scheduler, workers=workers, progress=display)
     if not quiet:
         earlier = sum(outcome.status == "earlier" for outcome in done.outcomes)
@@ -78,35 +68,13 @@ def batch(
         raise typer.Exit(1)
 
 
-class _Display:
+class BatchDisplay(Display):
     """A bar on a terminal; elsewhere a line for each scan that ends, and every ten seconds."""
 
     def __init__(self, quiet: bool) -> None:
-        self._console = Console(stderr=True, quiet=quiet, highlight=False)
-        self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[left]}"),
-            console=self._console,
-            transient=True,
-            disable=quiet or not self._console.is_terminal,
-        )
+        super().__init__(quiet, None, MofNCompleteColumn())
         self._task = self._bar.add_task("starting workers", total=None, left="")
         self._last = time.monotonic()
-
-    def __enter__(self) -> _Display:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._bar.stop()
 
     def __call__(self, report: BatchProgress) -> None:
         """Show one report."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeElapsedColumn
 
 if TYPE_CHECKING:
     from optical_palpation.palpation import Progress as OfStress
@@ -22,7 +22,46 @@ _LOAD_KNOWN = 0.05
 _SILENCE = 10.0
 
 
-class ProgressDisplay:
+class Display:
+    """A bar on a terminal and a console for lines; a context manager.
+
+    Parameters
+    ----------
+    quiet
+        Whether to show nothing.
+    console
+        Where; by default stderr.
+    column
+        How the bar says what is done.
+    """
+
+    def __init__(self, quiet: bool, console: Console | None, column: ProgressColumn) -> None:
+        self._console = console or Console(stderr=True, quiet=quiet, highlight=False)
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            column,
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[left]}"),
+            console=self._console,
+            transient=True,
+            disable=quiet or not self._console.is_terminal,
+        )
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+
+class ProgressDisplay(Display):
     """Shows what it is called with; use as a context manager and pass as ``progress=``.
 
     On a terminal one line is kept up to date. Elsewhere (a log file, a pipe) a line is printed
@@ -31,25 +70,15 @@ class ProgressDisplay:
     """
 
     def __init__(self, quiet: bool = False, console: Console | None = None) -> None:
-        self._console = console or Console(stderr=True, quiet=quiet, highlight=False)
+        super().__init__(quiet, console, TextColumn("{task.fields[reached]}"))
         self._started = self._last_time = time.monotonic()
         self._last: tuple[str, float] = ("", -1.0)
         self._stage: tuple[str, float, float] = ("", 0.0, self._started)  # name, load, time
-        self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.fields[reached]}"),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[left]}"),
-            console=self._console,
-            transient=True,
-            disable=quiet or not self._console.is_terminal,
-        )
         self._task = self._bar.add_task("starting", total=1.0, reached="", left="")
         self._said_compiling = False
         self._stack = ExitStack()
 
-    def __enter__(self) -> ProgressDisplay:
+    def __enter__(self) -> Self:
         from numba.core import event
 
         say = self._say_compiling
@@ -62,8 +91,7 @@ class ProgressDisplay:
                 pass
 
         self._stack.enter_context(event.install_listener("numba:compile", Compiling()))
-        self._bar.start()
-        return self
+        return super().__enter__()
 
     def __exit__(
         self,
@@ -71,7 +99,7 @@ class ProgressDisplay:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self._bar.stop()
+        super().__exit__(kind, error, traceback)
         self._stack.close()
 
     def _say_compiling(self) -> None:

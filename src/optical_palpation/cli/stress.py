@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from optical_palpation.cli.grammar import Command
 from optical_palpation.cli.law import (
     ALPHA_HELP,
     C01_HELP,
@@ -20,10 +18,25 @@ from optical_palpation.cli.law import (
     MU_HELP,
     LawChoice,
 )
+from optical_palpation.cli.options import (
+    FieldOfView,
+    InitialThickness,
+    InitialVariable,
+    LayerExtent,
+    LengthUnit,
+    Output,
+    PixelSpacing,
+    Plot,
+    Quiet,
+    ThicknessFiles,
+    Threads,
+    Untrusted,
+    Variable,
+    element_size_of,
+    is_number,
+    write_outputs,
+)
 from optical_palpation.cli.progress import ProgressDisplay
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 class Method(StrEnum):
@@ -55,21 +68,6 @@ class SampleLaw(StrEnum):
     LAYER = "layer"
 
 
-class StressCommand(Command):
-    """Lets ``--element-size`` take one value or three, which option parsers cannot express."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Join the numbers that follow ``--element-size`` with commas, then parse as usual."""
-        joined: list[str] = []
-        for argument in args:
-            if joined and joined[-1].startswith("--element-size") and is_number(argument):
-                separator = "," if "=" in joined[-1] else "="
-                joined[-1] += separator + argument
-            else:
-                joined.append(argument)
-        return super().parse_args(ctx, joined)
-
-
 def stress(
     map: Annotated[
         Path,
@@ -79,13 +77,8 @@ def stress(
             show_default=False,
         ),
     ],
-    initial_thickness: Annotated[
-        str,
-        typer.Option(
-            metavar="NUMBER|MAP", help="Unloaded thickness: mm, or a map like the first one."
-        ),
-    ],
-    output: Annotated[Path, typer.Option(metavar="FILE", help="Result, NetCDF (.nc).")],
+    initial_thickness: InitialThickness,
+    output: Output,
     law: Annotated[LawChoice, typer.Option(help=LAW_HELP)] = LawChoice.MOONEY_RIVLIN,
     c10: Annotated[float | None, typer.Option(metavar="NUMBER", help=C10_HELP)] = None,
     c01: Annotated[float | None, typer.Option(metavar="NUMBER", help=C01_HELP)] = None,
@@ -210,38 +203,14 @@ def stress(
         bool,
         typer.Option(help="Error bands from those of the inputs; at 50 um, two thirds more time."),
     ] = True,
-    variable: Annotated[
-        str | None,
-        typer.Option(metavar="TEXT", help="Variable of the map, where a file has several."),
-    ] = None,
-    initial_variable: Annotated[
-        str | None,
-        typer.Option(metavar="TEXT", help="Variable of the map of the unloaded thickness."),
-    ] = None,
-    length_unit: Annotated[
-        str | None,
-        typer.Option(metavar="TEXT", help="Unit of the thickness in the file: mm or um."),
-    ] = None,
-    field_of_view: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="X Y", help="Size of the map, mm.")
-    ] = None,
-    pixel_spacing: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="X Y", help="Size of a pixel, mm.")
-    ] = None,
-    layer_extent: Annotated[
-        tuple[float, float, float, float] | None,
-        typer.Option(
-            metavar="X0 X1 Y0 Y1",
-            help="Part of the map's own coordinates that the layer covers, mm.",
-        ),
-    ] = None,
-    untrusted: Annotated[
-        bool,
-        typer.Option("--untrusted", help="Read HDF5 files in a separate process first."),
-    ] = False,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also draw a picture (.png, .pdf).")
-    ] = None,
+    variable: Variable = None,
+    initial_variable: InitialVariable = None,
+    length_unit: LengthUnit = None,
+    field_of_view: FieldOfView = None,
+    pixel_spacing: PixelSpacing = None,
+    layer_extent: LayerExtent = None,
+    untrusted: Untrusted = False,
+    plot: Plot = None,
     vtk: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write the layer for ParaView (.vts).")
     ] = None,
@@ -253,13 +222,8 @@ def stress(
         Path | None,
         typer.Option(metavar="FILE", help="Also write the problem for Abaqus or CalculiX (.inp)."),
     ] = None,
-    threads: Annotated[
-        int | None,
-        typer.Option(
-            metavar="NUMBER", help="Number of threads; all available cores by default.", min=1
-        ),
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
 ) -> None:
     """Compute the tactile stress behind a map of the loaded thickness of the layer."""
     holds: dict[str, Any] = {}
@@ -325,10 +289,19 @@ def stress(
     from optical_palpation.material import make_law
     from optical_palpation.palpation import algebraic_stress
     from optical_palpation.palpation.plausibility import check_field, check_layer, check_stress
-    from optical_palpation.present.output import write_each
 
-    thickness_is_map = not is_number(initial_thickness)
-    inputs = [map, Path(initial_thickness)] if thickness_is_map else [map]
+    files = ThicknessFiles(
+        map,
+        initial_thickness,
+        variable,
+        initial_variable,
+        length_unit,
+        field_of_view,
+        pixel_spacing,
+        layer_extent,
+        untrusted,
+    )
+    inputs = files.paths
     motion_is_file = sample_motion is not None and not is_number(sample_motion)
     if motion_is_file:
         inputs.append(Path(str(sample_motion)))
@@ -339,31 +312,15 @@ def stress(
     wanted = {kind: path for kind, path in outputs.items() if path is not None}
     present.check_outputs(wanted, inputs)
 
-    def read(path: Path, variable: str | None, **layer: Any) -> xr.Dataset:
-        return thickness.clean_thickness(
-            thickness.read_thickness_map(
-                path,
-                variable=variable,
-                length_unit=length_unit,
-                field_of_view=field_of_view,
-                pixel_spacing=pixel_spacing,
-                untrusted=untrusted,
-                **layer,
-            )
-        )
-
     material = make_law(
         law.value, bulk_to_shear, c10=c10, c01=c01, c20=c20, c30=c30, mu=mu, alpha=alpha
     )
     check_layer(material)
-    cleaned = read(map, variable, layer_extent=layer_extent)
+    cleaned = files.loaded()
     loaded = cleaned["thickness"]
     width, height = (float(loaded[axis][-1] - loaded[axis][0]) for axis in "xy")
     check_field(width, height, str(map))
-    initial: Any = initial_thickness if thickness_is_map else float(initial_thickness)
-    if thickness_is_map:
-        initial = read(Path(initial_thickness), initial_variable)["thickness"]
-
+    initial = files.initial()
     glued = sample is Hold.GLUED
     check_stress(algebraic_stress(loaded, initial, material, glued=glued))
     if method is Method.ALGEBRAIC:
@@ -435,23 +392,11 @@ def stress(
     here = {axis: result.maps[axis] for axis in "yx"}
     result.maps["filled"] = cleaned["filled"].reindex(here, method="nearest")
     result.maps.attrs |= cleaned.attrs
-    if thickness_is_map:
+    if not isinstance(initial, float):
         result.maps.attrs["initial_thickness_input"] = initial.attrs["source"]
         result.maps.attrs["initial_thickness_input_sha256"] = initial.attrs["source_sha256"]
 
-    writers = {
-        "result": present.write_result,
-        "picture": present.write_panel,
-        "ParaView file": present.write_vtk,
-        "profiles": present.write_profiles,
-        "deck": lambda solved, path: present.write_deck(solved.problem, path),
-    }
-    if not quiet:
-        print(present.summarise(result))
-    write_each({path: partial(writers[kind], result) for kind, path in wanted.items()})
-    if not quiet:
-        for kind, path in wanted.items():
-            print(f"{kind}: {path}")
+    write_outputs(result, wanted, quiet)
 
 
 def _check_sample_options(needed: dict[str, Any], in_the_way: dict[str, bool]) -> None:
@@ -460,25 +405,3 @@ def _check_sample_options(needed: dict[str, Any], in_the_way: dict[str, bool]) -
         raise typer.BadParameter(f"--sample-thickness also needs {', '.join(absent)}")
     if asked := [name for name, given in in_the_way.items() if given]:
         raise typer.BadParameter(f"--sample-thickness cannot go with {', '.join(asked)}")
-
-
-def element_size_of(text: str | None) -> float | tuple[float, ...] | None:
-    """Read ``--element-size``."""
-    if text is None:
-        return None
-    parts = text.split(",")
-    if len(parts) not in (1, 3) or not all(map(is_number, parts)):
-        raise typer.BadParameter(
-            f"--element-size takes one number of mm, or three for x, y, z; found {text!r}"
-        )
-    sizes = tuple(float(part) for part in parts)
-    return sizes if len(sizes) == 3 else sizes[0]
-
-
-def is_number(text: str) -> bool:
-    """Whether a text is a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
