@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from optical_palpation.analysis import Region, compare_results, read_regions, stress_uncertainty
-    from optical_palpation.batch import sweep
+    from optical_palpation.batch import field_stress, sweep
     from optical_palpation.errors import OpticalPalpationError
     from optical_palpation.material import MooneyRivlin
     from optical_palpation.palpation import (
@@ -44,6 +44,7 @@ __all__ = [
     "clean_thickness",
     "compare_results",
     "computational_stress",
+    "field_stress",
     "find_layer",
     "open_volume",
     "read_regions",
@@ -68,6 +69,7 @@ _HOMES = {
     "clean_thickness": "thickness",
     "compare_results": "analysis",
     "computational_stress": "palpation",
+    "field_stress": "batch",
     "find_layer": "thickness",
     "open_volume": "volume",
     "read_regions": "analysis",

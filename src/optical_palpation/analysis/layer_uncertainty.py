@@ -15,8 +15,9 @@ from optical_palpation.analysis.uncertainty import (
     propagate_uncertainty,
 )
 from optical_palpation.material import Law
-from optical_palpation.palpation.computational import Hold, Progress, computational_stress
+from optical_palpation.palpation.computational import Hold, computational_stress
 from optical_palpation.palpation.input_errors import InputErrors
+from optical_palpation.palpation.progress import Progress
 from optical_palpation.palpation.result import StressResult
 
 

@@ -1,18 +1,33 @@
-"""``optical-palpation submodel``: a region of a result again, on finer elements."""
+"""``optical-palpation submodel``: a region of a result again, on finer elements; or all of it."""
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from optical_palpation.cli.batch import BatchDisplay
+from optical_palpation.cli.options import (
+    FieldOfView,
+    InitialThickness,
+    InitialVariable,
+    LayerExtent,
+    LengthUnit,
+    Output,
+    PixelSpacing,
+    Plot,
+    Quiet,
+    Scheduler,
+    ThicknessFiles,
+    Threads,
+    Untrusted,
+    Variable,
+    Workers,
+    element_size_of,
+    write_outputs,
+)
 from optical_palpation.cli.progress import ProgressDisplay
-from optical_palpation.cli.stress import element_size_of, is_number
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def submodel(
@@ -22,118 +37,127 @@ def submodel(
     map: Annotated[
         Path, typer.Argument(metavar="MAP", help="The map of the loaded thickness behind it.")
     ],
-    initial_thickness: Annotated[
-        str, typer.Option(metavar="NUMBER|MAP", help="Unloaded thickness: mm, or a map.")
-    ],
-    region: Annotated[
-        tuple[float, float, float, float],
-        typer.Option(metavar="X0 X1 Y0 Y1", help="Region, mm in the coordinates of the map."),
-    ],
+    initial_thickness: InitialThickness,
     element_size: Annotated[
         str,
         typer.Option(metavar="SIZE | X Y Z", help="Size of the elements, mm: one value or three."),
     ],
-    output: Annotated[Path, typer.Option(metavar="FILE", help="Result, NetCDF (.nc).")],
+    output: Output,
+    region: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(
+            metavar="X0 X1 Y0 Y1",
+            help="Region, mm in the coordinates of the map; with --tile by default the whole "
+            "layer.",
+        ),
+    ] = None,
+    tile: Annotated[
+        float | None,
+        typer.Option(
+            metavar="NUMBER",
+            help="Compute the region in overlapping tiles of this width, mm, each by a worker "
+            "with memory for one of them, and blend their maps.",
+        ),
+    ] = None,
+    overlap: Annotated[
+        float | None,
+        typer.Option(
+            metavar="NUMBER", help="What neighbouring tiles share, mm; as wide as the margin."
+        ),
+    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     margin: Annotated[
         float | None,
         typer.Option(
             metavar="NUMBER",
-            help="What is computed around the region, mm; half of the thickness by default.",
+            help="What is computed around a region or tile, mm; half of the thickness by default.",
         ),
     ] = None,
     imprint_smoothing: Annotated[
         float | None,
         typer.Option(metavar="NUMBER", help="Smoothing of the imprint, mm; half an element."),
     ] = None,
-    variable: Annotated[
-        str | None,
-        typer.Option(metavar="TEXT", help="Variable of the map, where a file has several."),
-    ] = None,
-    initial_variable: Annotated[
-        str | None,
-        typer.Option(metavar="TEXT", help="Variable of the map of the unloaded thickness."),
-    ] = None,
-    length_unit: Annotated[
-        str | None,
-        typer.Option(metavar="TEXT", help="Unit of the thickness in the file: mm or um."),
-    ] = None,
-    field_of_view: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="X Y", help="Size of the map, mm.")
-    ] = None,
-    pixel_spacing: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="X Y", help="Size of a pixel, mm.")
-    ] = None,
-    layer_extent: Annotated[
-        tuple[float, float, float, float] | None,
-        typer.Option(
-            metavar="X0 X1 Y0 Y1",
-            help="Part of the map's own coordinates that the layer covers, mm.",
-        ),
-    ] = None,
-    untrusted: Annotated[
-        bool,
-        typer.Option("--untrusted", help="Try HDF5 files out in a process of its own first."),
-    ] = False,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also draw a picture (.png, .pdf).")
-    ] = None,
-    threads: Annotated[
-        int | None,
-        typer.Option(
-            metavar="NUMBER", help="Number of threads; all available cores by default.", min=1
-        ),
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    variable: Variable = None,
+    initial_variable: InitialVariable = None,
+    length_unit: LengthUnit = None,
+    field_of_view: FieldOfView = None,
+    pixel_spacing: PixelSpacing = None,
+    layer_extent: LayerExtent = None,
+    untrusted: Untrusted = False,
+    plot: Plot = None,
+    threads: Threads = None,
+    quiet: Quiet = False,
 ) -> None:
-    """Compute a region of a result again, on finer elements.
+    """Compute a region of a result again, on finer elements; with --tile, of any size.
 
     Material, friction and edges are those of the result. The maps must be those behind it.
+    Tiles are kept beside the output until all of them are there, so that the same command
+    continues after an interruption. Exit status 1: some tiles have no solution, and the maps no
+    value there.
     """
     sizes = element_size_of(element_size)
     assert sizes is not None
+    about_tiles = {"--overlap": overlap, "--workers": workers, "--scheduler": scheduler}
+    if tile is None:
+        if asked := [name for name, value in about_tiles.items() if value is not None]:
+            raise typer.BadParameter(f"{', '.join(asked)}: for tiles, --tile is needed too")
+        if region is None:
+            raise typer.BadParameter("--region is needed, or --tile for the whole layer")
+    elif threads is not None:
+        raise typer.BadParameter("--threads: tiles share all cores among --workers")
 
-    from optical_palpation import present, thickness
+    from optical_palpation import present
     from optical_palpation.palpation import submodel_stress
-    from optical_palpation.present.output import write_each
 
-    thickness_is_map = not is_number(initial_thickness)
-    inputs = [result, map, *([Path(initial_thickness)] if thickness_is_map else [])]
+    files = ThicknessFiles(
+        map,
+        initial_thickness,
+        variable,
+        initial_variable,
+        length_unit,
+        field_of_view,
+        pixel_spacing,
+        layer_extent,
+        untrusted,
+    )
     wanted = {"result": output} | ({"picture": plot} if plot else {})
-    present.check_outputs(wanted, inputs)
-
-    def read(path: Path, variable: str | None, **layer: Any) -> xr.DataArray:
-        given = thickness.read_thickness_map(
-            path,
-            variable=variable,
-            length_unit=length_unit,
-            field_of_view=field_of_view,
-            pixel_spacing=pixel_spacing,
-            untrusted=untrusted,
-            **layer,
-        )
-        return thickness.clean_thickness(given)["thickness"]
-
+    present.check_outputs(wanted, [result, *files.paths])
     coarse = present.read_result(result)
-    loaded = read(map, variable, layer_extent=layer_extent)
-    initial: Any = float(initial_thickness) if not thickness_is_map else None
-    if thickness_is_map:
-        initial = read(Path(initial_thickness), initial_variable)
-    with ProgressDisplay(quiet) as progress:
-        part = submodel_stress(
+    loaded, initial = files.loaded()["thickness"], files.initial()
+    settings: dict[str, Any] = {
+        "element_size": sizes,
+        "margin": margin,
+        "imprint_smoothing": imprint_smoothing,
+    }
+    if tile is None:
+        assert region is not None
+        with ProgressDisplay(quiet) as progress:
+            part = submodel_stress(
+                coarse, loaded, initial, region, threads=threads, progress=progress, **settings
+            )
+        write_outputs(part, wanted, quiet)
+        return
+    from optical_palpation.batch.field import field_stress, remove_tiles
+
+    tiles = output.with_name(f"{output.stem}-tiles")
+    with BatchDisplay(quiet) as display:
+        field = field_stress(
             coarse,
             loaded,
             initial,
-            region,
-            element_size=sizes,
-            margin=margin,
-            imprint_smoothing=imprint_smoothing,
-            threads=threads,
-            progress=progress,
+            tile=tile,
+            region=region,
+            overlap=overlap,
+            workers=workers,
+            scheduler=scheduler,
+            folder=tiles,
+            progress=display,
+            **settings,
         )
-    writers = {"result": present.write_result, "picture": present.write_panel}
-    if not quiet:
-        print(present.summarise(part))
-    write_each({path: partial(writers[kind], part) for kind, path in wanted.items()})
-    if not quiet:
-        for kind, path in wanted.items():
-            print(f"{kind}: {path}")
+    write_outputs(field, wanted, quiet)
+    if "tiles_failed" in field.maps.attrs:
+        if not quiet:
+            print(f"the tiles that were computed are kept in {tiles}")
+        raise typer.Exit(1)
+    remove_tiles(tiles)

@@ -15,7 +15,7 @@ from optical_palpation.mechanics.path import LoadNotReached
 from optical_palpation.mechanics.stack.cascade import solve
 from optical_palpation.mechanics.stack.problem import LAYER, SAMPLE, Stack
 from optical_palpation.palpation.algebraic import algebraic_stress
-from optical_palpation.palpation.computational import Progress
+from optical_palpation.palpation.progress import Progress
 from optical_palpation.palpation.stack_maps import body_dataset, observed_maps, pixels
 from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.thickness.frames import thickness_map

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -37,6 +36,7 @@ from optical_palpation.palpation.meshing import (
 )
 from optical_palpation.palpation.motion import match_sample_motion
 from optical_palpation.palpation.plausibility import check_elements, unusual
+from optical_palpation.palpation.progress import Iterations, Progress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.rim import rim_effect
 from optical_palpation.palpation.sensitivity import sensitivities
@@ -47,16 +47,6 @@ from optical_palpation.thickness.initial import match_initial_thickness
 
 #: More elements than any machine holds; their layout alone would take minutes.
 MOST_ELEMENTS = 1e8
-
-
-@dataclass(frozen=True)
-class Progress:
-    """What a running computation reports: the stage, the load reached and the work done."""
-
-    stage: str
-    load: float
-    newton: int
-    message: str = ""
 
 
 def computational_stress(
@@ -202,16 +192,8 @@ def computational_stress(
     )
     check_memory(problem, solver)
 
-    newton = 0
-
-    def report(level: LayerProblem, load: float, iteration: int, now: object, krylov: int) -> None:
-        nonlocal newton
-        newton += iteration > 0
-        if progress:
-            progress(Progress(f"{level.grid.n_elements:,} elements", load, newton))
-
-    if progress:
-        progress(Progress("preparing", 0.0, 0))
+    report = Iterations(progress)
+    report.stage("preparing", 0.0)
     try:
         with limited_threads(threads):
             solution = solve(
@@ -266,8 +248,7 @@ def computational_stress(
         maps.attrs["force_rim_model_mN"] = of_rim
     if edge_check:
         with limited_threads(threads):
-            if progress:
-                progress(Progress("influence of the sides", 1.0, newton))
+            report.stage("influence of the sides", 1.0)
             influence = edge_influence(
                 problem, edges, layer_extent_of(loaded), maps["x"].values, maps["y"].values
             )
@@ -276,8 +257,7 @@ def computational_stress(
     derivatives = None
     if input_errors is not None and input_errors.any:
         with limited_threads(threads):
-            if progress:
-                progress(Progress("sensitivities", 1.0, newton))
+            report.stage("sensitivities", 1.0)
             derivatives = sensitivities(
                 solution,
                 quantities,

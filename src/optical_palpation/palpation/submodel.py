@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.mechanics.path import LoadNotReached
-from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.mechanics.submodel import part_of, solve_part
 from optical_palpation.palpation.algebraic import algebraic_stress
-from optical_palpation.palpation.computational import (
-    Progress,
-    checked,
-    element_sizes,
-    outcome,
-)
+from optical_palpation.palpation.computational import checked, element_sizes, outcome
 from optical_palpation.palpation.memory import check_memory
 from optical_palpation.palpation.meshing import Hold, layer_problem
+from optical_palpation.palpation.progress import Iterations, Progress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.surface import deformed_layer, surface_maps
 from optical_palpation.palpation.threads import limited_threads
@@ -84,38 +80,12 @@ def submodel_stress(
     ConvergenceError
         If the part finds no equilibrium.
     """
+    inputs = submodel_inputs(coarse, loaded, initial_thickness, element_size, margin)
+    loaded, initial, margin, sizes = inputs.loaded, inputs.initial, inputs.margin, inputs.sizes
     whole, state = coarse.problem, coarse.state
-    if whole is None or state is None:
-        raise InputError(
-            "the coarse result holds no solution to start from: only results of the computational "
-            "method do, and files of them that this version has written"
-        )
-    if whole.surroundings is not None:
-        raise InputError("the coarse result is itself a part of a layer: give the whole")
+    assert whole is not None and state is not None  # noqa: PT018
     about = coarse.maps.attrs
-    loaded = on_grid(loaded)
-    if bool(loaded.isnull().any()):
-        raise InputError("the loaded thickness has missing values: fill them with clean_thickness")
-    held: dict[str, Hold] = {
-        face: "glued" if glued else friction
-        for face, glued, friction in zip(
-            ("window", "sample"), whole.glued, whole.friction, strict=True
-        )
-    }
-    pulls = held["sample"] == "glued"
-    initial = match_initial_thickness(initial_thickness, loaded, glued=pulls)
-    thickness = float(initial.median())
-    sizes = element_sizes(element_size, loaded, thickness)
-    x0, x1, y0, y1 = _region(region, loaded)
-    if sizes[0] * sizes[1] >= whole.grid.spacing[1] * whole.grid.spacing[2]:
-        raise InputError(
-            f"elements of {sizes[0]:g} x {sizes[1]:g} mm are no smaller than those of the coarse "
-            f"solution, {whole.grid.spacing[2]:.3g} x {whole.grid.spacing[1]:.3g} mm"
-        )
-    least = 4 * max(sizes[:2])  # half of it is whole elements of twice the size
-    margin = max(MARGIN * thickness, least) if margin is None else float(margin)
-    if not margin >= least * (1 - 1e-6) or not np.isfinite(margin):
-        raise InputError(f"margin must be at least {least:g} mm, four elements, not {margin:g} mm")
+    x0, x1, y0, y1 = checked_region(region, loaded)
     smoothing = 0.5 * float(np.sqrt(sizes[0] * sizes[1]))
     if imprint_smoothing is not None:
         smoothing = float(imprint_smoothing)
@@ -124,7 +94,7 @@ def submodel_stress(
         initial,
         None,
         whole.law,
-        held,
+        inputs.held,
         sizes,
         about["edges"],
         smoothing,
@@ -143,14 +113,7 @@ def submodel_stress(
     )
     part = part_of(fine, whole, state, wide)
     check_memory(part)
-    newton = 0
-
-    def report(level: LayerProblem, load: float, iteration: int, now: object, krylov: int) -> None:
-        nonlocal newton
-        newton += iteration > 0
-        if progress:
-            progress(Progress(f"{level.grid.n_elements:,} elements", load, newton))
-
+    report = Iterations(progress)
     try:
         with limited_threads(threads):
             solution, error = solve_part(part, whole, state, (x0, x1, y0, y1), near, report)
@@ -162,7 +125,7 @@ def submodel_stress(
         ) from None
     now = checked(solution)
     layer, surface = deformed_layer(solution, now)
-    algebraic = algebraic_stress(loaded, initial, whole.law, glued=pulls)
+    algebraic = algebraic_stress(loaded, initial, whole.law, glued=inputs.pulls)
     here = loaded.assign_attrs(layer_extent=[x0, x1, y0, y1])
     maps = surface_maps(solution, surface, here, algebraic, sizes)
     stress = maps["axial_stress"]
@@ -173,7 +136,7 @@ def submodel_stress(
         del ending[key]  # of the part with its margin, whose sides carry forces too
     pressure = maps["contact_pressure"].fillna(0.0)
     maps.attrs = {
-        **{key: value for key, value in about.items() if _is_setting(key)},
+        **settings_of(about),
         "element_size_mm": list(part.grid.spacing[::-1]),
         "elements": list(part.grid.shape[::-1]),
         "imprint_smoothing_mm": smoothing,
@@ -188,19 +151,105 @@ def submodel_stress(
     return StressResult(maps, layer, part, solution.state)
 
 
+@dataclass(frozen=True, eq=False)
+class SubmodelInputs:
+    """What a part of a layer is computed from, checked.
+
+    Attributes
+    ----------
+    loaded, initial
+        Thickness maps, mm, on the same pixels.
+    held
+        What holds ``window`` and ``sample``.
+    sizes
+        Element sizes (x, y, z), mm.
+    margin
+        Width of what is computed around a region, mm.
+    """
+
+    loaded: xr.DataArray
+    initial: xr.DataArray
+    held: Mapping[str, Hold]
+    sizes: tuple[float, float, float]
+    margin: float
+
+    @property
+    def pulls(self) -> bool:
+        """Whether the sample is glued, and may pull."""
+        return self.held["sample"] == "glued"
+
+
+def submodel_inputs(
+    coarse: StressResult,
+    loaded: xr.DataArray,
+    initial_thickness: float | xr.DataArray,
+    element_size: float | Sequence[float],
+    margin: float | None,
+) -> SubmodelInputs:
+    """Check what a part of a layer is to be computed from; as for :func:`submodel_stress`.
+
+    Raises
+    ------
+    InputError
+        If the coarse result holds no solution, its maps are others, or a number cannot be used.
+    """
+    whole = coarse.problem
+    if whole is None or coarse.state is None:
+        raise InputError(
+            "the coarse result holds no solution to start from: only results of the computational "
+            "method do, and files of them that this version has written"
+        )
+    if whole.surroundings is not None:
+        raise InputError("the coarse result is itself a part of a layer: give the whole")
+    loaded = on_grid(loaded)
+    if bool(loaded.isnull().any()):
+        raise InputError("the loaded thickness has missing values: fill them with clean_thickness")
+    held: dict[str, Hold] = {
+        face: "glued" if glued else friction
+        for face, glued, friction in zip(
+            ("window", "sample"), whole.glued, whole.friction, strict=True
+        )
+    }
+    pulls = held["sample"] == "glued"
+    initial = match_initial_thickness(initial_thickness, loaded, glued=pulls)
+    thickness = float(initial.median())
+    sizes = element_sizes(element_size, loaded, thickness)
+    if sizes[0] * sizes[1] >= whole.grid.spacing[1] * whole.grid.spacing[2]:
+        raise InputError(
+            f"elements of {sizes[0]:g} x {sizes[1]:g} mm are no smaller than those of the coarse "
+            f"solution, {whole.grid.spacing[2]:.3g} x {whole.grid.spacing[1]:.3g} mm"
+        )
+    least = 4 * max(sizes[:2])  # half of it is whole elements of twice the size
+    margin = max(MARGIN * thickness, least) if margin is None else float(margin)
+    if not margin >= least * (1 - 1e-6) or not np.isfinite(margin):
+        raise InputError(f"margin must be at least {least:g} mm, four elements, not {margin:g} mm")
+    return SubmodelInputs(loaded, initial, held, sizes, margin)
+
+
 _SETTINGS = ("method", "edges", "bulk_to_shear", "initial_thickness", "no_contact_share", "unusual")
 
 
-def _is_setting(key: object) -> bool:
-    """Whether an attribute of the coarse result holds for its parts as well."""
-    name = str(key)
+def settings_of(attrs: Mapping[Hashable, Any]) -> dict[Hashable, Any]:
+    """Return the attributes of a coarse result that hold for its parts as well."""
+    return {key: value for key, value in attrs.items() if _is_setting(str(key))}
+
+
+def _is_setting(name: str) -> bool:
     kinds = ("law", "source", "sample_motion", "slip_length", "window_", "sample_")
     settings = name.startswith((*kinds, *_SETTINGS)) or name.endswith("_kPa") or name == "alpha"
     return settings and not name.endswith("_force_mN")
 
 
-def _region(given: Sequence[float], loaded: xr.DataArray) -> tuple[float, float, float, float]:
-    """Check a region, x0, x1, y0, y1 in mm."""
+def checked_region(
+    given: Sequence[float], loaded: xr.DataArray
+) -> tuple[float, float, float, float]:
+    """Return a region, x0, x1, y0, y1 in mm, that lies in the layer.
+
+    Raises
+    ------
+    InputError
+        If it is no such region.
+    """
     try:
         x0, x1, y0, y1 = (float(v) for v in given)
     except (TypeError, ValueError):

@@ -144,12 +144,23 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
 def _submodel(attrs: Mapping[Hashable, Any]) -> list[str]:
     """Say what part of a layer was computed, and how well."""
     x0, x1, y0, y1 = attrs["submodel_region_mm"]
-    return [
+    part = "part" if "tiles" not in attrs else "worst tile"
+    lines = [
         f"region: x {x0:g} to {x1:g} mm, y {y0:g} to {y1:g} mm, force of the sample on it "
         f"{attrs['sample_force_mN']:.1f} mN",
         f"axial stress differs by {attrs['submodel_change']:.1%} from that of the coarse solution; "
-        f"the sides of the part account for up to {attrs['submodel_sides_error']:.1%}",
+        f"the sides of the {part} account for about {attrs['submodel_sides_error']:.1%}",
     ]
+    if "tiles" not in attrs:
+        return lines
+    across, along = attrs["tiles"]
+    tiles = f"{across} x {along} tiles"
+    if "seam_error" in attrs:
+        tiles += (
+            f"; where they overlap their axial stress differs by {attrs['seam_error']:.1%}, "
+            f"{attrs['seam_error_largest_kPa']:.2g} kPa at most, before it is blended"
+        )
+    return [*lines, tiles]
 
 
 def summarise(result: StressResult) -> str:

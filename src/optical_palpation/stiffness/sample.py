@@ -25,8 +25,9 @@ from optical_palpation.mechanics.stack.assembly import Blocks, Mesh
 from optical_palpation.mechanics.stack.newton import balance
 from optical_palpation.mechanics.stack.problem import LAYER
 from optical_palpation.palpation.algebraic import algebraic_stress
-from optical_palpation.palpation.computational import Progress, computational_stress, residuals
+from optical_palpation.palpation.computational import computational_stress, residuals
 from optical_palpation.palpation.plausibility import WIDEST_FIELD, check_elements
+from optical_palpation.palpation.progress import Progress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.stack_maps import body_dataset, observed_maps
 from optical_palpation.palpation.threads import limited_threads
