@@ -22,6 +22,7 @@ from ..errors import InputError
 from .arrays import MAX_BSCAN_BYTES, Key, LazyArray, nbytes
 from .cf import Decoded
 from .contents import Contents, Variable
+from .hdf5_heaps import check_heaps
 from .metadata import DESCRIPTIONS, described
 from .units import is_unit_key
 
@@ -58,9 +59,16 @@ def contents(path: Path, wanted: str | None) -> Contents:
 
 
 def open_file(path: Path) -> Any:
-    """Open an HDF5 file for reading."""
+    """Open an HDF5 file for reading.
+
+    Raises
+    ------
+    InputError
+        If its heaps would keep the HDF5 library busy for ever.
+    """
     import h5py
 
+    check_heaps(path)
     return h5py.File(path, "r")
 
 

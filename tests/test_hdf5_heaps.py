@@ -1,0 +1,67 @@
+"""HDF5 files with heaps that the HDF5 library would not get through are refused."""
+
+from contextlib import suppress
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optical_palpation.errors import InputError
+from optical_palpation.thickness import read_thickness_map
+from optical_palpation.volume.hdf5_heaps import check_heaps
+
+HEAD = 16  # of a heap, and of each of its objects
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """A map with texts of variable length, which lie in a heap: its path and where the heap is."""
+    path = tmp_path_factory.mktemp("heap") / "map.h5"
+    with h5py.File(path, "w") as file:
+        stored = file.create_dataset("L1", data=np.full((5, 6), 0.4))
+        stored.attrs["units"] = "mm"
+        stored.attrs["long_name"] = "thickness of the layer"
+    return path, path.read_bytes().index(b"GCOL")
+
+
+def read(path):
+    return read_thickness_map(path, field_of_view=(2.0, 1.0))
+
+
+def damaged(sound, tmp_path, index, size):
+    """The file with another size of the object of this number in its heap."""
+    path, at = sound
+    data = bytearray(path.read_bytes())
+    place = at + HEAD
+    while int.from_bytes(data[place : place + 2], "little") != index:
+        place += HEAD + (int.from_bytes(data[place + 8 : place + HEAD], "little") + 7) // 8 * 8
+    data[place + 8 : place + HEAD] = size.to_bytes(8, "little")
+    (tmp_path / "map.h5").write_bytes(data)
+    return tmp_path / "map.h5"
+
+
+def test_a_sound_file_is_read(sound):
+    assert read(sound[0]).shape == (5, 6)
+
+
+# free space of no size keeps the library for ever, an object beyond the heap leads it out of it
+@pytest.mark.parametrize(("index", "size"), [(0, 0), (1, 2**64 - 16), (2, 10**6)])
+def test_a_size_that_cannot_be_is_refused(sound, tmp_path, index, size):
+    with pytest.raises(InputError, match=rf"map\.h5: damaged .* states a size of {size} bytes"):
+        read(damaged(sound, tmp_path, index, size))
+
+
+@given(st.lists(st.integers(0, 2**64 - 1) | st.integers(0, 64), max_size=20))
+def test_it_comes_to_an_end_on_any_heap(tmp_path_factory, words):
+    path = tmp_path_factory.getbasetemp() / "heap"
+    objects = b"".join(word.to_bytes(8, "little") for word in words)
+    path.write_bytes(b"GCOL\1\0\0\0" + (HEAD + len(objects)).to_bytes(8, "little") + objects)
+    with suppress(InputError):
+        check_heaps(path)
+
+
+def test_samples_may_hold_the_signature_of_a_heap(tmp_path):
+    (tmp_path / "samples").write_bytes(b"GCOLGCOL" + bytes(50) + b"GCOL")
+    check_heaps(tmp_path / "samples")
