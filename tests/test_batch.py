@@ -208,6 +208,8 @@ def test_need_grows_with_the_elements_and_is_unknown_of_a_broken_scan(tmp_path):
     (tmp_path / "t.csv").write_text("\n".join(["name,study,grid.element_size", *rows]))
     needs = [predicted_need(scan) for scan in read_batch(tmp_path / "t.csv").scans]
     assert 4e6 < needs[0] < needs[1] < needs[2] < 2e9
+    (tmp_path / "t.csv").write_text("study,grid.accuracy\nstudy.toml,0.05\n")
+    assert 4e6 < predicted_need(read_batch(tmp_path / "t.csv").scans[0]) < 2e9
     batch = read_batch(table(tmp_path, ["damaged.npz"]))
     assert predicted_need(batch.scans[0]) is None
 

@@ -99,6 +99,7 @@ def test_files_of_choice_and_the_study_is_not_solved_again(here, run):
     [
         (["absent.toml"], "absent.toml"),
         (["broken.toml"], "map.npy"),
+        (["study.toml", "--probes", 0], "--probes"),
         (["study.toml", "--window-friction", 0, "--sample-friction", 0], "at least one"),
         (["study.toml", "--modulus", -1], "--modulus"),
         (["study.toml", "--output", "e.txt"], "e.txt"),

@@ -18,6 +18,13 @@ from optical_palpation.study import python
 matplotlib.use("Agg")
 X, Y = np.linspace(0, 2, 33), np.linspace(0, 1.5, 25)
 GRID = {"element_size": 0.25, "threads": 1}
+NO_ERRORS = {
+    "window_friction": 0.0,
+    "sample_friction": 0.0,
+    "modulus": 0.0,
+    "thickness": 0.0,
+    "initial_thickness": 0.0,
+}
 
 
 def loaded(units="mm"):
@@ -154,6 +161,33 @@ def test_with_changes_some_keys_and_leaves_the_study_as_it_is():
     assert first.parameters["friction"]["window"] == 0.15
     assert first.with_(unloaded=0.45).parameters["unloaded"] == {"thickness": 0.45}
     assert first.with_({"grid.edges": None}).parameters == first.parameters
+
+
+def test_what_stands_in_for_something_replaces_it(tmp_path):
+    np.save(tmp_path / "flat.npy", np.full((9, 9), 0.5))
+    first = study()
+    accurate = first.with_(grid={"accuracy": 0.05})
+    assert accurate.parameters["grid"].keys() == {"accuracy", "edges", "solver", "threads"}
+    assert "elements for 5 %" in repr(accurate)
+    assert accurate.with_({"grid.element_size": 0.25}).parameters == first.parameters
+    flat = {"map": str(tmp_path / "flat.npy"), "field_of_view": [2.0, 1.5]}
+    of_map = first.with_(unloaded=flat)
+    assert of_map.parameters["unloaded"] == flat
+    back = of_map.with_({"unloaded.thickness": 0.5, "unloaded.field_of_view": None})
+    assert back.parameters == first.parameters
+    with pytest.raises(InputError, match=r"grid: takes element_size \(mm\) or accuracy .*one of"):
+        first.with_(grid={"accuracy": 0.05, "element_size": 0.25})
+
+
+def test_a_study_chooses_its_mesh_by_the_accuracy(tmp_path):
+    chosen = study(grid={"accuracy": 0.1, "threads": 1}, errors=NO_ERRORS)
+    result = chosen.run()
+    attrs = result.maps.attrs
+    assert attrs["force_mesh_error_mN"] < 0.1 * attrs["sample_force_mN"]
+    again = chosen.with_(grid={"element_size": attrs["element_size_mm"]}).run()
+    np.testing.assert_array_equal(again.maps["axial_stress"], result.maps["axial_stress"])
+    saved = chosen.save(tmp_path / "study.toml")
+    assert saved.parameters["grid"]["accuracy"] == 0.1
 
 
 @pytest.mark.parametrize(

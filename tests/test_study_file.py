@@ -59,6 +59,8 @@ def test_the_template_is_a_study_and_shows_every_key(here):
     # of which some exclude each other
     of_sample = text[text.index("[sample]") : text.index("[grid]")]
     shown |= {("sample", key) for key in re.findall(r"^# (\w+) = ", of_sample, re.M)}
+    of_grid = text[text.index("[grid]") : text.index("[errors]")]
+    shown |= {("grid", key) for key in re.findall(r"^# (\w+) = ", of_grid, re.M)}
     laws = {("sample", "law", key) for key in Material.model_fields}
     assert shown >= set(keys_of(Study)) - laws
     given = re.sub(r"^# (?=\w+ = )", "", of_sample, flags=re.M)
@@ -120,6 +122,9 @@ def test_files_that_are_not_trusted(here):
         ("window = 0.15", "window = -0.15", ["friction.window = -0.15", "greater"]),
         ("window = 0.15", "windw = 0.15", ["friction.windw = 0.15", "did you mean window?"]),
         ("element_size = [0.2, 0.2, 0.1]", "element_size = [0.2, 0.2]", ["x, y and z", "array"]),
+        ("[0.2, 0.2, 0.1]", "0.2\naccuracy = 0.05", ["grid: takes", "accuracy", "one of them"]),
+        ("element_size = [0.2, 0.2, 0.1]", "", ["grid: takes element_size (mm) or accuracy"]),
+        ("element_size = [0.2, 0.2, 0.1]", "accuracy = 2", ["grid.accuracy = 2", "0.02 for 2 %"]),
         ("threads = 1", "threads = 1.5", ["grid.threads = 1.5", "a whole number"]),
         ("threads = 1", "edges = 'open'", ['grid.edges = "open"', "'free', 'roller' or 'padded'"]),
         ('scale = "linear"', 'scale = "log"', ['volumes.scale = "log"', "'linear' or 'dB'"]),

@@ -201,6 +201,7 @@ def test_stress_depends_on_what_the_relief_is_and_not_on_its_name(given, pressed
         ("threads = 1", "imprint_smoothing = 0.1", ["grid.imprint_smoothing", "no imprint"]),
         ("threads = 1", "solver = 'direct'", ['grid.solver = "direct"']),
         ("element_size = 0.25", "element_size = [0.2, 0.2, 0.1]", ["element_size of three"]),
+        ("element_size = 0.25", "accuracy = 0.1", ["grid.accuracy"]),
         ("window = 0.3", "window = 'glued'", ['friction.window = "glued"', "slip"]),
         ("sample = 0.3", "sample = 0.3\nslip_length = 0.001", ["friction.slip_length"]),
         ("[sample]", "[errors]\nwindow_friction = 0.1\n[sample]", ["errors: not with", "own"]),
@@ -211,6 +212,13 @@ def test_samples_that_cannot_be_used_are_refused_on_reading(given, old, new, wor
         given(old, new)
     for word in ["other.toml", *words]:
         assert word in str(error.value)
+
+
+def test_errors_of_a_study_with_a_sample_are_its_own(given, run):
+    given()
+    status, out, err = run("uncertainty", given().file)
+    assert (status, out) == (2, "")
+    assert "carries its errors already" in err
 
 
 def test_an_unstable_law_is_refused(given):

@@ -22,6 +22,8 @@ from optical_palpation.errors import FolderBusyError, OpticalPalpationError
 #: Pixels along the longer side of a thumbnail.
 _THUMBNAIL = 96
 _BUSY = 60.0  # s
+#: Elements that a wanted accuracy takes, as a fraction of the first that are tried.
+_FINER = 0.5
 RESULT, RECORD = "stress.nc", "provenance.json"
 
 
@@ -48,7 +50,7 @@ def run_scan(folder: Path, scan: Scan, threads: int | None, tell: Callable[[Any]
     errors = folder / f"{scan.name}.error.txt"
     try:
         place = {"outputs.folder": _relative(target, scan.study.parent)}
-        study = read_study(scan.study, _changes(scan) | place)
+        study = read_study(scan.study, {**scan.overrides, **place})
         with limited_threads(threads):
             while True:
                 try:
@@ -81,8 +83,9 @@ def predicted_need(scan: Scan) -> float | None:
     """Memory of a scan's computation, bytes, from its study alone; None if that cannot be read.
 
     The thickness of the layer is not known before it was found in the volumes: half of their depth
-    stands for it.
+    stands for it. Neither are the elements of a wanted accuracy: some finer than the first do.
     """
+    from optical_palpation.palpation.accuracy import first_size
     from optical_palpation.palpation.memory import predicted_memory
     from optical_palpation.study import read_study
     from optical_palpation.study.inputs import open_input
@@ -90,7 +93,7 @@ def predicted_need(scan: Scan) -> float | None:
     from optical_palpation.thickness import read_thickness_map
 
     try:
-        study = read_study(scan.study, _changes(scan))
+        study = read_study(scan.study, scan.overrides)
         source, extent = study.loaded, study.layer.extent
         volume = 0.0
         if isinstance(source, MapInput):
@@ -110,6 +113,8 @@ def predicted_need(scan: Scan) -> float | None:
         if extent is not None:
             width, depth = extent[1] - extent[0], extent[3] - extent[2]
         size = study.grid.element_size
+        if size is None:
+            size = _FINER * first_size(thickness, (width, depth))
         hx, hy, hz = size if isinstance(size, tuple) else (size, size, size)
         beyond = 6.0 * thickness if study.grid.edges == "padded" else 0.0
         through = max(2, round(thickness / hz))
@@ -122,17 +127,6 @@ def predicted_need(scan: Scan) -> float | None:
         return volume + predicted_memory((through, across[0], across[1]), solver)
     except (OpticalPalpationError, OSError):  # the scan itself tells what is wrong
         return None
-
-
-def _changes(scan: Scan) -> dict[str, Any]:
-    """The overrides as :func:`read_study` takes them: an input of one kind replaces the other."""
-    changes: dict[str, Any] = {}
-    for name in scan.overrides:
-        side, _, key = name.partition(".")
-        if side in ("unloaded", "loaded") and key in ("volume", "map", "thickness"):
-            others = {"volume", "map", "thickness"} - {key}
-            changes |= {f"{side}.{other}": None for other in sorted(others)}
-    return changes | dict(scan.overrides)
 
 
 def _relative(target: Path, start: Path) -> str:

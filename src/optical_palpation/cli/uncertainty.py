@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from optical_palpation.cli.progress import ProgressDisplay
+from optical_palpation.errors import InputError
 
 
 def uncertainty(
@@ -90,10 +91,19 @@ def uncertainty(
     if not any((window_friction, sample_friction, modulus, thickness, thickness_noise)):
         raise typer.BadParameter("all errors are zero: give at least one")
     asked = study.read_study(file)
+    if asked.sample.modelled:
+        raise InputError(
+            f"{file}: has the sample in the model ([sample]); the stress of such a study carries "
+            "its errors already, in stress.nc"
+        )
     wanted = {"result": output, "picture": plot}
     present.check_outputs({k: path for k, path in wanted.items() if path is not None}, [file])
     with ProgressDisplay(quiet) as progress:
         done = study.run_study(asked, progress=progress)
+        nominal = present.read_result(done.folder / "stress.nc")
+        grid = asked.grid.model_dump()
+        if grid.pop("accuracy") is not None:  # all on the mesh that was chosen
+            grid["element_size"] = nominal.maps.attrs["element_size_mm"]
         measured = xr.load_dataset(done.folder / "thickness.nc", engine="h5netcdf")
         loaded = measured["loaded_thickness"]
         noise = None
@@ -111,11 +121,11 @@ def uncertainty(
             modulus_error=modulus,
             thickness_error=thickness,
             thickness_noise=noise,
-            nominal=present.read_result(done.folder / "stress.nc"),
+            nominal=nominal,
             slip_length=asked.friction.slip_length,
             progress=progress,
             sample_motion=sample_motion(asked, loaded),
-            **asked.grid.model_dump(),
+            **grid,
         )
     output = output or done.folder / "uncertainty.nc"
     plot = plot or done.folder / "uncertainty.png"

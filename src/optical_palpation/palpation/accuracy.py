@@ -18,6 +18,11 @@ _OF_THICKNESS, _OF_FIELD = 0.25, 0.1
 _MESHES, _FINER = 6, (0.4, 0.8)
 
 
+def first_size(thickness: float, field: tuple[float, float]) -> float:
+    """Size of the elements to begin with, mm, of a layer of some thickness and field, mm."""
+    return min(_OF_THICKNESS * thickness, _OF_FIELD * min(field))
+
+
 def solve_to_accuracy(
     accuracy: float,
     thickness: float,
@@ -50,7 +55,7 @@ def solve_to_accuracy(
             f"accuracy must lie between {LOWEST:g} and {HIGHEST:g} (0.02 for 2 % of the total "
             f"force), not {accuracy!r}"
         )
-    size = min(_OF_THICKNESS * thickness, _OF_FIELD * min(field))
+    size = first_size(thickness, field)
     said = ""
     for _ in range(_MESHES):
         try:

@@ -68,10 +68,11 @@ def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
         depths.append((given, "unloaded.thickness"))
     x0, x1, y0, y1 = _layer(study, fields["loaded"])
     depth, what = min(depths)
-    try:
-        check_elements(study.grid.element_size, (x1 - x0, y1 - y0), depth, what)
-    except InputError as error:
-        raise InputError(f"{where}, [grid]: {error}") from error
+    if study.grid.element_size is not None:
+        try:
+            check_elements(study.grid.element_size, (x1 - x0, y1 - y0), depth, what)
+        except InputError as error:
+            raise InputError(f"{where}, [grid]: {error}") from error
     if study.sample.modelled:
         _check_sample(study)
     smoothing, widest = study.grid.imprint_smoothing, 0.25 * min(x1 - x0, y1 - y0)

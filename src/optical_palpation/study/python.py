@@ -47,7 +47,8 @@ class Study:
     friction
         ``{"window": ..., "sample": ...}``, Coulomb's coefficients or ``"glued"``.
     grid
-        ``{"element_size": 0.125, ...}``, or the size alone, mm.
+        ``{"element_size": 0.125, ...}``, or the size alone, mm; or ``{"accuracy": 0.02, ...}``, the
+        error of the total force that the mesh may leave.
     tables
         Further tables of a study file: ``volumes``, ``layer``, ``sample``, ``outputs``, and
         ``title``. As ``sample`` a :class:`~optical_palpation.stiffness.Sample`, too, which puts it
@@ -130,15 +131,15 @@ class Study:
             If the result is no study that can be used.
         """
         given: dict[str, Any] = dict(self._given)
+        inner: dict[str, Any] = {}
         for name, value in tables.items():
-            if isinstance(value, Mapping) and isinstance(given.get(name), Mapping):
-                if name in _SIDES and {"volume", "map", "thickness"} & set(value):
-                    given[name] = value  # another input, not a key of this one
-                else:
-                    given[name] = {**given[name], **value}
-            else:
+            both = isinstance(value, Mapping) and isinstance(given.get(name), Mapping)
+            # another input is no key of the one that is there
+            if not both or (name in _SIDES and {"volume", "map", "thickness"} & set(value)):
                 given[name] = value
-        given = changed(given, changes or {})
+            else:
+                inner |= {f"{name}.{key}": of for key, of in value.items()}
+        given = changed(given, {**inner, **(changes or {})})
         study = type(self).__new__(type(self))
         study._begin(self._workspace, given, Path("."))
         return study
@@ -153,7 +154,8 @@ class Study:
         said.append(f"{m.law}, {m.make().describe()}")
         window, sample = (h if h == "glued" else f"friction {h:g}" for h in (f.window, f.sample))
         said.append(f"{window} (window), {sample} (sample)")
-        said.append(f"elements {g.element_size} mm")
+        of = f"of {g.element_size} mm" if g.accuracy is None else f"for {100 * g.accuracy:g} %"
+        said.append(f"elements {of}")
         return f"<Study: {'; '.join(said)}>"
 
     @property

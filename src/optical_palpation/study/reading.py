@@ -27,6 +27,12 @@ from optical_palpation.study.schema import (
     kind_of_input,
 )
 
+#: Keys of a table of which one stands in for the others.
+_ALTERNATIVES = {
+    "unloaded": ("volume", "map", "thickness"),
+    "loaded": ("volume", "map"),
+    "grid": ("element_size", "accuracy"),
+}
 #: What the template holds in place of values that only the user knows.
 PLACEHOLDER = "FILL IN"
 
@@ -102,7 +108,9 @@ def changed(given: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str
     given
         Tables of a study file.
     changes
-        New values by table and key, ``"friction.window"``; ``None`` takes the key away.
+        New values by table and key, ``"friction.window"``; ``None`` takes the key away. One that
+        stands in for another, as a map for a volume, or ``grid.accuracy`` for
+        ``grid.element_size``, replaces that.
 
     Raises
     ------
@@ -121,8 +129,12 @@ def changed(given: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str
             place = place[table]
         if value is None:
             place.pop(key, None)
-        else:
-            place[key] = value
+            continue
+        alternatives = _ALTERNATIVES.get(".".join(tables), ())
+        for other in alternatives if key in alternatives else ():
+            if ".".join((*tables, other)) not in changes:
+                place.pop(other, None)
+        place[key] = value
     return result
 
 
@@ -239,6 +251,7 @@ def _check_sample(study: Study) -> None:
         "grid.imprint_smoothing": grid.imprint_smoothing is not None,
         f"grid.solver = {as_toml(grid.solver)}": grid.solver != "auto",
         "grid.element_size of three numbers": isinstance(grid.element_size, tuple),
+        "grid.accuracy": grid.accuracy is not None,
         "errors": study.errors != Errors(),
     }
     if found := [what for what, there in refused.items() if there]:
@@ -265,6 +278,7 @@ _HINTS = {
     "stiffness_smoothing": "about 0.001, next to none, to 10, next to uniform",
     "slip_length": "mm",
     "element_size": "mm, one number or three for x, y and z",
+    "accuracy": "error of the force by the mesh, 0.02 for 2 %",
     "extent": "mm, x0, x1, y0, y1",
     "window_range": "mm, shallow and deep",
     "sample_range": "mm, shallow and deep",
@@ -294,7 +308,9 @@ def _problems(error: ValidationError, given: Mapping[str, Any]) -> Iterator[str]
             keys.pop()
             known = _known(keys[:-1], given)
         key = ".".join(keys)
-        if problem["type"] == "missing" and isinstance(problem["loc"][-1], str):
+        if problem["type"] == "one_of_two":
+            yield f"{key}: takes {problem['msg']}{_hint([key, 'accuracy'])}, one of them"
+        elif problem["type"] == "missing" and isinstance(problem["loc"][-1], str):
             yield f"{key}: is missing{_hint(keys)}"
         elif problem["type"] in ("model_type", "dict_type", "model_attributes_type"):
             yield f"{key} = {as_toml(problem['input'])}: must be a table{_hint(keys)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, Literal, Self, Union
 
 from pydantic import (
     BaseModel,
@@ -14,9 +14,12 @@ from pydantic import (
     PrivateAttr,
     Strict,
     Tag,
+    model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from optical_palpation.material import Law, make_law
+from optical_palpation.palpation.accuracy import HIGHEST, LOWEST
 from optical_palpation.palpation.input_errors import INPUT_ERRORS
 
 Positive = Annotated[float, Field(gt=0)]
@@ -193,13 +196,20 @@ class Sample(Table):
 
 
 class Grid(Table):
-    """The finite elements and their solver."""
+    """The finite elements and their solver; their size, or the accuracy that chooses it."""
 
-    element_size: Positive | Three
+    element_size: Positive | Three | None = None
+    accuracy: Annotated[float, Field(ge=LOWEST, le=HIGHEST)] | None = None
     edges: Literal["free", "roller", "padded"] = "free"
     imprint_smoothing: Annotated[float, Field(ge=0)] | None = None
     solver: Literal["auto", "multigrid", "direct"] = "auto"
     threads: Annotated[int, Field(ge=1)] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Self:
+        if (self.element_size is None) == (self.accuracy is None):
+            raise PydanticCustomError("one_of_two", "element_size (mm) or accuracy")
+        return self
 
 
 class Errors(Table):

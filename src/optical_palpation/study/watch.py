@@ -154,7 +154,7 @@ class Watch:
             with open_input(study, source) as volume:
                 self._unloaded_facts = {"sha256": volume.sha256, "metadata": described(volume)}
                 self._unloaded = find_boundaries(volume, finding(source), fixes, tell)
-        size = study.grid.element_size
+        size = study.grid.element_size or 0.1
         x, y, z = size if isinstance(size, tuple) else (size, size, size)
         at = np.linspace(0, 1, 33)
         bump = 1.0 - 0.1 * np.exp(-((at - 0.5) ** 2 + (at[:, None] - 0.5) ** 2) / 0.05)
