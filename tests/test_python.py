@@ -235,6 +235,8 @@ def test_advice_about_a_map_in_micrometres_can_be_taken():
         ({"threads": "4"}, "threads must be a whole number"),
         ({"loaded": np.ones((3, 3))}, "DataArray, not ndarray"),
         ({"initial_thickness": [0.5]}, "number of mm or a map"),
+        ({"input_errors": {"modulus": 0.1}}, r"input_errors: palpation\.InputErrors or None"),
+        ({"progress": "yes"}, "progress: a function"),
     ],
 )
 def test_errors_of_a_solution_name_the_argument(changes, message):
@@ -248,6 +250,76 @@ def test_errors_of_a_solution_name_the_argument(changes, message):
     }
     with pytest.raises(InputError, match=message):
         op.computational_stress(**given | changes)
+
+
+RECTANGLE = op.Region.rectangle("middle", 0.5, 1.5, 0.5, 1.0)
+
+
+def sample_stress(sample):
+    friction = {"window_friction": 0.1, "sample_friction": 0.1}
+    return op.sample_stress(
+        loaded(), 0.5, op.MooneyRivlin(2.23), sample, **friction, element_size=1
+    )
+
+
+def uncertainty(**changes):
+    given = {"window_friction": 0.1, "sample_friction": 0.1, "element_size": 0.25}
+    return op.stress_uncertainty(loaded(), 0.5, op.MooneyRivlin(2.23), **given | changes)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda r: op.MooneyRivlin("2.23"), "c10 = '2.23' is no number"),
+        (lambda r: op.MooneyRivlin(None), "c10 = None is no number"),
+        (lambda r: op.algebraic_result(loaded(), "0.5", op.MooneyRivlin(2)), "initial thickness: "),
+        (lambda r: op.algebraic_result(loaded().astype(str), 0.5, op.MooneyRivlin(2)), "lengths"),
+        (lambda r: op.algebraic_result(loaded()[:0], 0.5, op.MooneyRivlin(2)), "0 values"),
+        (lambda r: op.clean_thickness(loaded().values), "DataArray, not ndarray"),
+        (lambda r: op.find_layer("loaded.oct"), r"volume: an opened volume \(open_volume\)"),
+        (lambda r: op.open_volume(None), "path: the name of a file, not None"),
+        (lambda r: op.read_result(None), "path: the name of a file, not None"),
+        (lambda r: op.read_result("."), "is a folder; a result is a file in it"),
+        (lambda r: op.read_thickness_map(3), "path: the name of a file, not int 3"),
+        (lambda r: op.read_regions(None, r.maps), "path: the name of a file"),
+        (lambda r: op.Study.read(None), "path: the name of a file"),
+        (lambda r: op.StressResult(np.zeros(3)), "maps: an xarray.Dataset .* not ndarray"),
+        (lambda r: op.StressResult(xr.Dataset()), "maps: .* axial_stress"),
+        (lambda r: r.save(None), "path: the name of a file"),
+        (lambda r: r.regions(RECTANGLE), "regions: a list of Region, not Region"),
+        (lambda r: r.regions(["middle"]), "regions: a list of Region, not 'middle'"),
+        (lambda r: r.regions(None), "regions: a list of Region, not None"),
+        (lambda r: op.Region.rectangle("a", "0", 1, 0, 1), "region 'a', x0: a number of mm"),
+        (lambda r: r.profile("x", width="wide"), "width: a number of mm"),
+        (lambda r: r.plot(ax="axes"), "ax: matplotlib axes, not 'axes'"),
+        (lambda r: r.plot(limits=3), "limits: lowest and highest value"),
+        (lambda r: op.compare_results([r, r]), r"results: maps of results by name"),
+        (lambda r: op.compare_results({"a": r, "b": r}), r"results\['a'\]: .* \(\.maps\)"),
+        (lambda r: op.sweep(study(), [("friction.window", [0.1])]), "parameters: a mapping"),
+        (lambda r: op.sweep(study(), {"friction.window": [0.1]}, workers="2"), "workers: a whole"),
+        (lambda r: study().with_("friction.window"), "changes: a mapping"),
+        (lambda r: study().with_({3: 4}), "changes: a name such as"),
+        (lambda r: study(loaded=loaded().to_dataset(name="t")), "loaded: .*DataArray over y and x"),
+        (lambda r: study(girid=0.2), "girid: a mapping of keys"),
+        (lambda r: study(title=3), "study: cannot be used:\n  title = 3"),
+        (lambda r: sample_stress({"thickness": 1}), "sample: an optical_palpation.Sample"),
+        (lambda r: sample_stress(op.Sample("1", 0.2, 0.1)), "sample: thickness must be a number"),
+        (lambda r: uncertainty(nominal="r.nc"), "nominal: a StressResult"),
+        (lambda r: uncertainty(window_friction_error="a"), "window_friction_error: a number"),
+        (lambda r: uncertainty(window_friction_error=0, sample_friction_error=0), "at least one"),
+        (lambda r: op.submodel_stress(None, loaded(), 0.5, region=(0, 1, 0, 1), element_size=0.1),
+         "coarse: a StressResult"),
+        (lambda r: op.present.write_maps("a.nc", "b.pdf"), "result: a StressResult"),
+        (lambda r: op.present.write_maps(r, "b.pdf", regions="x.zip"), "regions: a list of Region"),
+    ],
+)  # fmt: skip
+def test_errors_of_everything_else_name_the_argument(call, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    short = op.algebraic_result(loaded(), 0.5, op.MooneyRivlin(2.23))
+    with pytest.raises(op.OpticalPalpationError, match=message) as caught:
+        call(short)
+    assert "optical-palpation-" not in str(caught.value)  # a temporary folder
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_sweep_has_the_parameters_as_dimensions(result):

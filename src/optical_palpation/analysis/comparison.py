@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from optical_palpation.analysis.maps import check_map, pixel_size
+from optical_palpation.arguments import check_instance
 from optical_palpation.errors import InputError
 from optical_palpation.thickness import lateral_shift
 
@@ -130,6 +131,10 @@ def compare_results(
         If there are fewer than two results, a map is missing or cannot be compared, or there is no
         relief to register by.
     """
+    kind = "maps of results by name, {'before': before.maps, 'after': after.maps}"
+    check_instance(results, Mapping, "results", kind)
+    for name, maps in results.items():
+        check_instance(maps, xr.Dataset, f"results[{name!r}]", "the maps of a result (.maps)")
     if len(results) < 2:
         raise InputError(f"a comparison needs at least two results, got {len(results)}")
     for name, maps in results.items():

@@ -14,6 +14,8 @@ from optical_palpation.analysis.uncertainty import (
     linear_uncertainty,
     propagate_uncertainty,
 )
+from optical_palpation.arguments import check_instance, number
+from optical_palpation.errors import InputError
 from optical_palpation.material import Law
 from optical_palpation.palpation.computational import Hold, computational_stress
 from optical_palpation.palpation.input_errors import InputErrors
@@ -94,6 +96,13 @@ def stress_uncertainty(
         for name, error in given.items()
         if error and not (isinstance(values[name], str) and values[name] == "glued")
     }
+    if not errors:
+        raise InputError("all errors are zero: give at least one")
+    for name, error in errors.items():
+        if not isinstance(error, Noise) and number(error, f"{name}_error") < 0.0:
+            raise InputError(f"{name}_error: a number of at least 0, not {error!r}")
+    if nominal is not None:
+        check_instance(nominal, StressResult, "nominal", "a StressResult (op.read_result)")
     solves = sum(2 * e.probes for e in errors.values() if isinstance(e, Noise))
     solves += nominal is None
     count = 0

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from optical_palpation.arguments import number
 from optical_palpation.errors import InputError
 
 
@@ -49,8 +50,8 @@ def line_profile(
     length = float(np.linalg.norm(ends[1] - ends[0]))
     if not length > 0.0:
         raise InputError(f"start and end of the profile are the same place, {tuple(ends[0])} mm")
-    if not width >= 0.0:
-        raise InputError(f"width: must be a number of mm, at least 0, not {width!r}")
+    if number(width, "width", "a number of mm, at least 0") < 0.0:
+        raise InputError(f"width: a number of mm, at least 0, not {width!r}")
     maps = maps[[n for n, v in maps.data_vars.items() if set(v.dims) == {"y", "x"}]]
     maps = maps.sortby(["y", "x"])
     step = min(float(np.diff(maps[axis].values).mean()) for axis in ("y", "x"))

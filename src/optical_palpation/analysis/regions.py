@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from optical_palpation.analysis.maps import check_map, pixel_size, plane_noise
+from optical_palpation.arguments import check_instance, number
 from optical_palpation.errors import InputError
 
 #: Points along each side of a pixel by which the share of it that lies in an outline is counted.
@@ -77,6 +78,10 @@ class Region:
         InputError
             If it has no area.
         """
+        x0, x1, y0, y1 = (
+            number(value, f"region {name!r}, {side}", "a number of mm")
+            for side, value in zip(("x0", "x1", "y0", "y1"), (x0, x1, y0, y1), strict=True)
+        )
         if not (x0 < x1 and y0 < y1):
             raise InputError(
                 f"region {name!r}: a rectangle needs x0 < x1 and y0 < y1, found x {x0:g} to {x1:g} "
@@ -237,6 +242,9 @@ def region_statistics(
     if variable not in maps:
         known = ", ".join(str(n) for n, v in maps.data_vars.items() if set(v.dims) == {"y", "x"})
         raise InputError(f"there is no map {variable!r}; known are {known}")
+    check_instance(regions, Iterable, "regions", "a list of Region")
+    for region in regions:
+        check_instance(region, Region, "regions", "a list of Region")
     names = [region.name for region in regions]
     if not names:
         raise InputError("regions: give at least one")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.analysis.maps import check_map, pixel_size
 from optical_palpation.analysis.regions import Region
+from optical_palpation.arguments import file_path
 from optical_palpation.errors import InputError
 from optical_palpation.files import replacing
 
@@ -53,7 +54,7 @@ def read_regions(path: str | os.PathLike[str], like: xr.DataArray | xr.Dataset) 
     InputError
         If the file cannot be read, holds no region, or does not fit to the maps.
     """
-    path = Path(path)
+    path = file_path(path)
     if isinstance(like, xr.Dataset):
         like = next(v for v in like.data_vars.values() if set(v.dims) == {"y", "x"})
     field = check_map(like, "map")

@@ -11,6 +11,7 @@ import xarray as xr
 from scipy.ndimage import gaussian_filter
 
 from optical_palpation.analysis.force import force_balance
+from optical_palpation.arguments import number
 from optical_palpation.errors import InputError
 from optical_palpation.palpation.result import StressResult
 
@@ -110,7 +111,7 @@ def propagate_uncertainty(
                 raise InputError(
                     f"{name}: random noise needs a map, got {type(values[name]).__name__}"
                 )
-        elif not error > 0.0:
+        elif not number(error, f"error of {name}", "a number above 0") > 0.0:
             raise InputError(f"error of {name} = {error}: must be positive")
 
     def evaluate(name: str, value: Any) -> tuple[xr.DataArray, float]:

@@ -19,8 +19,9 @@ from optical_palpation.errors import InputError
 _PATHS = frozenset(
     f"{side}.{key}" for side in ("unloaded", "loaded") for key in ("volume", "map", "corrections")
 ) | {"sample.motion", "sample.relief"}
-_TABLES = frozenset(
-    "unloaded loaded volumes layer material friction sample grid errors outputs".split()
+_TABLES = (
+    *("unloaded", "loaded", "volumes", "layer", "material", "friction"),
+    *("sample", "grid", "errors", "outputs"),
 )
 _LARGEST = 32 * 1024**2  # bytes of a table
 _MOST = 100_000  # scans

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from optical_palpation.arguments import check_instance
 from optical_palpation.batch.dispatch import BatchProgress
 from optical_palpation.batch.reading import Batch, Scan
 from optical_palpation.batch.run import run_batch
@@ -74,8 +75,10 @@ def sweep(
     ConvergenceError
         If no point has a solution.
     """
-    if not isinstance(study, Study):
-        raise InputError(f"study: an optical_palpation.Study, not {type(study).__name__}")
+    check_instance(study, Study, "study", "an optical_palpation.Study")
+    kind = "a mapping of table and key to values, {'friction.window': [0.1, 0.2]}"
+    check_instance(parameters, Mapping, "parameters", kind)
+    check_instance(workers, int | None, "workers", "a whole number")
     values: dict[str, list[Any]] = {}
     for name, given in parameters.items():
         if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray) or not len(given):

@@ -53,6 +53,8 @@ class Law(ABC):
     def __post_init__(self) -> None:
         for name in (*self.parameters, "bulk_to_shear"):
             try:
+                if isinstance(getattr(self, name), str | bool):
+                    raise TypeError
                 value = float(getattr(self, name))
             except (TypeError, ValueError):
                 raise MaterialError(f"{name} = {getattr(self, name)!r} is no number") from None

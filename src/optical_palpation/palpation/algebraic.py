@@ -7,7 +7,8 @@ import json
 import numpy as np
 import xarray as xr
 
-from optical_palpation.errors import InputError, MaterialError
+from optical_palpation.arguments import check_instance
+from optical_palpation.errors import MaterialError
 from optical_palpation.material import Law
 from optical_palpation.palpation.plausibility import unusual
 from optical_palpation.palpation.result import StressResult
@@ -55,11 +56,8 @@ def algebraic_stress(
     MaterialError
         If a pixel is compressed or stretched beyond the strain up to which the material is stable.
     """
-    if not isinstance(material, Law):
-        raise InputError(
-            "material: a law such as MooneyRivlin(c10=..., c01=...), moduli in kPa, not "
-            f"{type(material).__name__} {str(material)[:40]!r}"
-        )
+    kind = "a law such as MooneyRivlin(c10=..., c01=...), moduli in kPa"
+    check_instance(material, Law, "material", kind)
     loaded = on_grid(loaded)
     initial = match_initial_thickness(initial_thickness, loaded, glued=glued)
     stretch = np.where(inside_layer(loaded), loaded.values / initial.values, np.nan)

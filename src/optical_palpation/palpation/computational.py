@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
+from optical_palpation.arguments import check_instance
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
@@ -133,6 +134,10 @@ def computational_stress(
     ConvergenceError
         If the full load is not reached.
     """
+    if input_errors is not None:
+        check_instance(input_errors, InputErrors, "input_errors", "palpation.InputErrors or None")
+    if progress is not None:
+        check_instance(progress, Callable, "progress", "a function of a Progress")
     if (element_size is None) == (accuracy is None):
         raise InputError(
             "give element_size (mm) or accuracy (0.02 for 2 % of the force), one of them"

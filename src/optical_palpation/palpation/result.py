@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from optical_palpation.arguments import check_instance, in_words
 from optical_palpation.errors import InputError
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 
@@ -79,6 +80,14 @@ class StressResult:
     sensitivities: xr.Dataset | None = field(default=None, kw_only=True, repr=False)
     problem: LayerProblem | None = None
     state: LayerState | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        whole = isinstance(self.maps, xr.Dataset) and "axial_stress" in self.maps
+        if not whole:
+            raise InputError(
+                "maps: an xarray.Dataset on (y, x) with axial_stress in kPa, not "
+                f"{in_words(self.maps)}"
+            )
 
     # What follows only hands on. The packages it calls are built on this one, hence they are
     # imported where they are needed.
@@ -223,8 +232,7 @@ class StressResult:
         """
         from optical_palpation.analysis import compare_results
 
-        if not isinstance(other, StressResult):
-            raise InputError(f"other: a StressResult, not {type(other).__name__}")
+        check_instance(other, StressResult, "other", "a StressResult")
         pair = {"this": self.maps, "other": other.maps}
         return compare_results(pair, variable, register=register)
 

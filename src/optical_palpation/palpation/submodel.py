@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from optical_palpation.arguments import check_instance
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.mechanics.path import LoadNotReached
 from optical_palpation.mechanics.submodel import part_of, solve_part
@@ -193,6 +194,7 @@ def submodel_inputs(
     InputError
         If the coarse result holds no solution, its maps are others, or a number cannot be used.
     """
+    check_instance(coarse, StressResult, "coarse", "a StressResult of the whole layer")
     whole = coarse.problem
     if whole is None or coarse.state is None:
         raise InputError(

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from optical_palpation.analysis import Region
+from optical_palpation.arguments import check_instance, in_words
 from optical_palpation.errors import InputError
 from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.result import ContactState, StressResult
@@ -213,9 +214,7 @@ def draw_map(
         options["cmap"] = ListedColormap(list(named.values()))
         options["norm"] = BoundaryNorm(np.arange(len(named) + 1) - 0.5, len(named))
     else:
-        low, high = limits or common_limits({"": field}, what.colours)
-        if not low < high:
-            raise InputError(f"limits: the lowest must be below the highest, found {low}, {high}")
+        low, high = common_limits({"": field}, what.colours) if limits is None else _checked(limits)
         options |= {"cmap": colour_map(colours or what.colours), "vmin": low, "vmax": high}
     mesh = axes.pcolormesh(field["x"], field["y"], values, **options)
     axes.set_title(what.label, loc="left")
@@ -327,7 +326,7 @@ def letter(panels: Sequence[Axes]) -> None:
 def write_maps(
     result: StressResult | xr.Dataset,
     path: str | Path,
-    names: Sequence[str] = ("axial_stress",),
+    names: str | Sequence[str] = "axial_stress",
     *,
     width: Width = "single",
     columns: int | None = None,
@@ -349,7 +348,7 @@ def write_maps(
     path
         The picture. Maps are pixels in it, at 300 dpi; all else of a PDF or SVG is vectors.
     names
-        Maps to show, in this order.
+        Map to show, or several in this order.
     width
         ``single`` (85 mm) or ``double`` column (178 mm), or mm.
     columns
@@ -373,6 +372,10 @@ def write_maps(
         If the file cannot be written.
     """
     maps = result.maps if isinstance(result, StressResult) else result
+    check_instance(maps, xr.Dataset, "result", "a StressResult, or a Dataset of maps")
+    names = [names] if isinstance(names, str) else names
+    for region in regions:
+        check_instance(region, Region, "regions", "a list of Region (op.read_regions)")
     if "loaded_thickness" in maps:
         maps = on_layer(maps)
     if not names:
@@ -434,11 +437,20 @@ def _limits(
             found[what.scale] = chosen[0] if chosen else found[what.scale]
         elif given is not None:
             found[what.scale] = given
-    for pair in found.values():
-        numbers = np.asarray(pair, dtype=float) if len(tuple(pair)) == 2 else np.empty(0)
-        if numbers.size != 2 or not np.isfinite(numbers).all() or not numbers[0] < numbers[1]:
-            raise InputError(f"limits: lowest and highest value, such as (-5, 0); found {pair!r}")
-    return {scale: (float(low), float(high)) for scale, (low, high) in found.items()}
+    return {scale: _checked(pair) for scale, pair in found.items()}
+
+
+def _checked(limits: object) -> tuple[float, float]:
+    """Return limits of the colours, or refuse what are none."""
+    try:
+        low, high = map(float, limits)  # type: ignore[call-overload]
+    except (TypeError, ValueError):
+        low = high = np.nan
+    if not (np.isfinite([low, high]).all() and low < high):
+        raise InputError(
+            f"limits: lowest and highest value, such as (-5, 0), not {in_words(limits)}"
+        )
+    return low, high
 
 
 def plot_map(maps: xr.Dataset, name: str, axes: Axes | None = None, **options: Any) -> Axes:
@@ -455,6 +467,10 @@ def plot_map(maps: xr.Dataset, name: str, axes: Axes | None = None, **options: A
     if unknown := set(options) - known:
         raise InputError(f"{', '.join(sorted(unknown))}: options are {', '.join(sorted(known))}")
     what = _known_term(maps, name)
+    if axes is not None:
+        from matplotlib.axes import Axes as Matplotlib
+
+        check_instance(axes, Matplotlib, "ax", "matplotlib axes")
     if axes is None:
         from matplotlib import pyplot
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from optical_palpation.arguments import file_path
 from optical_palpation.errors import InputError
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic, provenance
@@ -93,7 +94,9 @@ def read_result(path: str | Path) -> StressResult:
     InputError
         The file is missing, damaged or no NetCDF-4 file, or holds no stress result.
     """
-    path = Path(path)
+    path = file_path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; a result is a file in it, such as stress.nc")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:

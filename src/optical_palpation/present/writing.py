@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from optical_palpation.arguments import file_path
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.deck import write_deck
@@ -50,7 +51,7 @@ def write(result: StressResult, path: str | os.PathLike[str]) -> None:
     OutputError
         If there is no such kind, or the file cannot be written.
     """
-    path = Path(path)
+    path = file_path(path)
     for kind, writer in WRITERS.items():
         if path.suffix.lower() in SUFFIXES[kind]:
             writer(result, path)

@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from optical_palpation.arguments import check_instance
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law, NeoHookean
 from optical_palpation.mechanics.grid import node_positions
@@ -243,6 +244,7 @@ def check_sample(sample: Sample, loaded: xr.DataArray, initial: xr.DataArray) ->
     ------
     InputError
     """
+    check_instance(sample, Sample, "sample", "an optical_palpation.Sample")
     if sample.compression is None and sample.total_force is None:
         raise InputError(
             "sample: give the compression (the travel of the plate, mm) or the total force (mN)"

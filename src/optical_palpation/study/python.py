@@ -10,6 +10,7 @@ from typing import Any
 
 import xarray as xr
 
+from optical_palpation.arguments import check_instance, file_path, in_words
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.files import replacing
 from optical_palpation.material import Law
@@ -95,7 +96,12 @@ class Study:
             name: _table(name, value, workspace, folder) for name, value in given.items()
         }
         self._file = file
-        self._checked = make_study(self._given, file or workspace.folder / "study")
+        nowhere = workspace.folder / "study"
+        try:
+            self._checked = make_study(self._given, file or nowhere)
+        except InputError as error:  # one that is in no file has no name
+            text = str(error).replace(f"{nowhere}: cannot", "study: cannot")
+            raise type(error)(text.replace(f"{nowhere}: ", "study, ")) from None
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Study:
@@ -108,7 +114,7 @@ class Study:
         """
         import tomllib
 
-        path = Path(path).resolve()
+        path = file_path(path).resolve()
         read_study(path)  # its errors are those of the file
         study = cls.__new__(cls)
         given = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -130,6 +136,9 @@ class Study:
         InputError
             If the result is no study that can be used.
         """
+        if changes is not None:
+            kind = "a mapping of table and key to value, {'friction.window': 0.2}"
+            check_instance(changes, Mapping, "changes", kind)
         given: dict[str, Any] = dict(self._given)
         inner: dict[str, Any] = {}
         for name, value in tables.items():
@@ -209,7 +218,7 @@ class Study:
         """
         import tomli_w
 
-        path = Path(path).resolve()
+        path = file_path(path).resolve()
         if path.suffix.lower() != ".toml":
             raise OutputError(f"{path}: the name of a study file ends in .toml")
         given = dict(self._given)
@@ -275,11 +284,11 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
             return {"map": str(workspace.keep(on_grid(value))), "variable": "thickness"}
         if name == "unloaded" and isinstance(value, int | float) and not isinstance(value, bool):
             return {"thickness": float(value)}
-        if not isinstance(value, Mapping):
+        if not isinstance(value, Mapping) or isinstance(value, xr.Dataset):
             number = ", or mm" if name == "unloaded" else ""
             raise InputError(
                 f"{name}: {{'volume': file}}, {{'map': file}}, or a DataArray over y and x in mm"
-                f"{number}; not {type(value).__name__} {str(value)[:60]!r}"
+                f"{number}; not {in_words(value)}"
             )
         whole = dict(value)
         for key in _PATHS:
@@ -306,7 +315,5 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
         return value
     if not isinstance(value, Mapping):
         expected = "a law such as MooneyRivlin, or a mapping" if name == "material" else "a mapping"
-        raise InputError(
-            f"{name}: {expected} of keys to values, not {type(value).__name__} {value!r}"
-        )
+        raise InputError(f"{name}: {expected} of keys to values, not {in_words(value)}")
     return {key: plain(of) for key, of in value.items()}

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from optical_palpation.arguments import check_instance
 from optical_palpation.errors import InputError, MaterialError, OutputError
 from optical_palpation.files import replacing
 from optical_palpation.study.schema import (
@@ -119,6 +120,7 @@ def changed(given: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str
     """
     result = dict(given)
     for name, value in changes.items():
+        check_instance(name, str, "changes", "a name such as 'friction.window'")
         *tables, key = name.split(".")
         place = result
         for table in tables:

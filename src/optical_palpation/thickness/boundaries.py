@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter, median_filter
 
+from optical_palpation.arguments import in_words
 from optical_palpation.errors import InputError
 
 from .canny import canny_surface
@@ -383,6 +384,10 @@ def _scan(
     progress: Progress,
 ) -> _Scan:
     """Read the volume for the first time."""
+    if not (isinstance(volume, np.ndarray) or hasattr(volume, "bscan")):
+        raise InputError(
+            f"volume: an opened volume (open_volume), or an array [z, y, x], not {in_words(volume)}"
+        )
     metadata = getattr(volume, "metadata", None)
     source: BScans = _Array(volume) if isinstance(volume, np.ndarray) else volume
     if spacing is None:

@@ -135,6 +135,10 @@ def on_grid(thickness: xr.DataArray) -> xr.DataArray:
             f"a thickness map is an xarray.DataArray, not {type(thickness).__name__}{hint}. Make "
             "one of an array with thickness_map"
         )
+    if thickness.dtype.kind not in "fiu" or not thickness.size:
+        raise InputError(
+            f"a thickness map holds lengths in mm; found {thickness.dtype}, {thickness.size} values"
+        )
     if set(thickness.dims) != {"y", "x"} or not {"y", "x"} <= set(thickness.coords):
         raise InputError(
             f"a thickness map has the dimensions (y, x) with coordinates in mm; found dimensions "

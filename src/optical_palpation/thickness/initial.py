@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from optical_palpation.arguments import number
 from optical_palpation.errors import InputError
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 
@@ -53,13 +54,9 @@ def match_initial_thickness(
     if isinstance(initial, xr.DataArray):
         values = _interpolated(initial, loaded)
     else:
-        try:
-            values = np.full(loaded.shape, float(initial))
-        except (TypeError, ValueError):
-            raise InputError(
-                "the initial thickness must be a number of mm or a map, not "
-                f"{type(initial).__name__} {str(initial)[:40]!r}"
-            ) from None
+        values = np.full(
+            loaded.shape, number(initial, "initial thickness", "a number of mm or a map")
+        )
     if not np.all(np.isfinite(values)) or np.any(values <= 0.0):
         raise InputError(
             f"initial thickness must be positive and finite, found {values.min():g} to "

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from optical_palpation.arguments import file_path
 from optical_palpation.errors import InputError
 from optical_palpation.files import readable_name, replacing
 from optical_palpation.runtime import software_version
@@ -88,7 +89,7 @@ def read_thickness_map(
         declares as such, or less than half of the layer measured, and if labels, unit, field of
         view, spacing, coordinates, mask and layer extent are missing or contradict each other.
     """
-    found = _read(Path(path), variable, length_unit, untrusted, checked_values)
+    found = _read(file_path(path), variable, length_unit, untrusted, checked_values)
     coordinates = found.coordinates
     if field_of_view is None and pixel_spacing is None:
         coordinates = coordinates or found.stated

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from ..arguments import file_path
 from ..errors import InputError
 from . import (
     dicom,
@@ -103,7 +104,7 @@ def open_volume(
         "refractive_index": refractive_index,
         "origin": origin,
     }
-    path = Path(path)
+    path = file_path(path)
     reader, contents = open_contents(path, variable, untrusted=untrusted)
     try:
         with translated_errors(path, reader.FORMAT):
