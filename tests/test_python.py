@@ -234,7 +234,7 @@ def test_advice_about_a_map_in_micrometres_can_be_taken():
         ({"imprint_smoothing": "a"}, "imprint_smoothing"),
         ({"threads": "4"}, "threads must be a whole number"),
         ({"loaded": np.ones((3, 3))}, "DataArray, not ndarray"),
-        ({"initial_thickness": [0.5]}, "number of mm or a map"),
+        ({"initial_thickness": [0.5]}, "number of mm, or a map"),
         ({"input_errors": {"modulus": 0.1}}, r"input_errors: palpation\.InputErrors or None"),
         ({"progress": "yes"}, "progress: a function"),
     ],

@@ -55,7 +55,8 @@ def match_initial_thickness(
         values = _interpolated(initial, loaded)
     else:
         values = np.full(
-            loaded.shape, number(initial, "initial thickness", "a number of mm or a map")
+            loaded.shape,
+            number(initial, "initial thickness", "a positive and finite number of mm, or a map"),
         )
     if not np.all(np.isfinite(values)) or np.any(values <= 0.0):
         raise InputError(
