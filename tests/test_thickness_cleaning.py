@@ -30,6 +30,20 @@ def clean(values, **frame):
     return clean_thickness(map_on_grid(values, **(frame or {"pixel_spacing": (0.01, 0.01)})))
 
 
+def test_shares_count_the_layer_and_not_what_lies_beyond_it():
+    values = np.full((20, 20), 0.4)
+    values[:, 10:] = np.nan  # the layer ends here
+    values[0:2, 0:5] = np.nan
+    values[10, 4] = 0.9
+    extent = (0.0, 0.095, 0.0, 0.19)
+    layer = thickness_map(values, pixel_spacing=(0.01, 0.01), layer_extent=extent)
+    assert layer.attrs["missing_share"] == pytest.approx(10 / 200)
+    about = clean_thickness(layer).attrs
+    assert about["missing_share"] == pytest.approx(10 / 200)
+    assert about["spike_share"] == pytest.approx(1 / 200)
+    assert about["filled_share"] == pytest.approx(11 / 200)
+
+
 @given(values=MAPS)
 def test_good_pixels_are_untouched_and_filled_ones_stay_in_range(values):
     result = clean(values)

@@ -25,6 +25,7 @@ from optical_palpation.thickness import (
     shift_map,
     thickness_map,
 )
+from optical_palpation.thickness.frames import inside_layer
 
 
 def thickness_of(study: Study, found: Mapping[str, xr.Dataset]) -> xr.Dataset:
@@ -85,7 +86,7 @@ def thickness_of(study: Study, found: Mapping[str, xr.Dataset]) -> xr.Dataset:
             "initial_thickness": matched,
             "initial_filled": made_up,
         },
-        attrs=attrs | {"initial_filled_share": float(made_up.mean())},
+        attrs=attrs | {"initial_filled_share": float(made_up.values[inside_layer(loaded)].mean())},
     )
     if quality is not None:
         result["quality"] = quality.where(~cleaned["filled"].values, 0.0)

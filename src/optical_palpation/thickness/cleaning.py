@@ -9,7 +9,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
 from optical_palpation.errors import InputError
-from optical_palpation.thickness.frames import on_grid
+from optical_palpation.thickness.frames import inside_layer, on_grid
 
 # A spike stands out of the range of its neighbours by this many times that range. For the nine
 # values together this is Dixon's ratio 0.75, far beyond the 1 % critical value.
@@ -44,7 +44,7 @@ def clean_thickness(thickness: xr.DataArray) -> xr.Dataset:
     xarray.Dataset
         ``thickness`` (mm, no NaN) and ``filled`` (bool, True where the value is made up), on the
         coordinates of `thickness`. The attributes report ``missing_share``, ``spike_share`` and
-        ``filled_share`` (0 to 1).
+        ``filled_share`` (0 to 1) of the pixels in the layer's extent.
 
     Raises
     ------
@@ -58,6 +58,7 @@ def clean_thickness(thickness: xr.DataArray) -> xr.Dataset:
         raise InputError("all of the thickness map is missing; nothing to fill it from")
     spikes = _spikes(values)
     filled = missing | spikes
+    inside = inside_layer(thickness)
     weights = [1.0 / float(np.median(np.abs(np.diff(thickness[axis])))) ** 2 for axis in "yx"]
     clean = thickness.copy(data=_fill(values, filled, weights))
     clean.attrs["missing_share"] = 0.0
@@ -69,9 +70,9 @@ def clean_thickness(thickness: xr.DataArray) -> xr.Dataset:
             .assign_attrs(units="1", long_name="missing or spike, filled from the pixels around"),
         },
         attrs={
-            "missing_share": float(missing.mean()),
-            "spike_share": float(spikes.mean()),
-            "filled_share": float(filled.mean()),
+            "missing_share": float(missing[inside].mean()),
+            "spike_share": float(spikes[inside].mean()),
+            "filled_share": float(filled[inside].mean()),
             "spike_rule": (
                 f"outside the range of the 8 neighbours by more than {_SPIKE_RANGES:g} times that "
                 f"range and {_SPIKE_SHARE:g} of the median thickness"

@@ -50,14 +50,13 @@ def thickness_map(
         pixel_spacing=pixel_spacing,
         where=where,
     )
-    missing = np.isnan(result.values)
     result.attrs = {
         "units": "mm",
         "long_name": "loaded thickness of the layer",
         "layer_extent": _layer_extent(result, layer_extent, where),
-        "missing_share": float(missing.mean()),
     }
-    measured = float(np.mean(~missing[inside_layer(result)]))
+    measured = float(np.mean(np.isfinite(result.values[inside_layer(result)])))
+    result.attrs["missing_share"] = 1.0 - measured
     if measured < _LEAST_MEASURED:
         raise InputError(
             f"{where}: only {measured:.1%} of the layer's pixels are measured; with less than "

@@ -79,7 +79,7 @@ def read_thickness_map(
     xarray.DataArray
         ``loaded_thickness`` in mm on ``(y, x)``, coordinates ascending in mm, NaN where missing.
         The attributes record the source, its SHA-256 hash, variable and unit, ``layer_extent``
-        and ``missing_share`` (0 to 1).
+        and ``missing_share`` (0 to 1, of the pixels in that extent).
 
     Raises
     ------
