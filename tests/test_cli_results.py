@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import shutil
 import subprocess
 
@@ -292,8 +293,31 @@ def test_every_help_has_an_example_that_names_real_options(name):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_all_commands_speak_alike(name):
+def test_a_shell_takes_the_examples_of_every_help(name, run):
+    """Lines that are broken give the command, and the command line takes it."""
+    _, out, _ = run(name, "--help")
+    examples = out[out.index("\nExample") :].partition("Cost:")[0].splitlines()[2:]
+    commands = [shlex.split(line) for line in "\n".join(examples).replace("\\\n", "").split("\n")]
+    given = [words for words in commands if words]
+    assert given
+    for program, command, *arguments in given:
+        assert (program, command) == ("optical-palpation", name)
+        COMMANDS[name].make_context(name, arguments)
+
+
+LONG = {"stress", "submodel", "run", "watch", "friction", "experiment", "uncertainty", "demo"}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_all_commands_speak_alike(name, run):
     command = COMMANDS[name]
+    options = {option for p in command.params for option in p.opts}
+    assert "--quiet" in options
+    assert ("--threads" in options) >= (name in LONG)
+    _, out, _ = run(name, "--help")
+    usage = out.splitlines()[0].removeprefix(f"Usage: optical-palpation {name} [OPTIONS]")
+    assert usage == usage.upper()
+    assert ("Cost: " in out) >= (name in LONG)
     for parameter in command.params:
         metavar = parameter.metavar
         if metavar:

@@ -19,7 +19,7 @@ from optical_palpation.cli.batch import batch
 from optical_palpation.cli.demo import demo
 from optical_palpation.cli.experiment import experiment
 from optical_palpation.cli.friction import friction
-from optical_palpation.cli.grammar import Command
+from optical_palpation.cli.grammar import Command, epilog
 from optical_palpation.cli.material import material
 from optical_palpation.cli.options import ElementSizeCommand
 from optical_palpation.cli.reproduce import reproduce
@@ -53,47 +53,80 @@ app = typer.Typer(
 
 # The commands in the order of the help; of each, examples, and what long ones cost.
 _EPILOGS: dict[Callable[..., None], str] = {
-    stress: "Example: optical-palpation stress map.mat --field-of-view 5 5 --initial-thickness 0.5 "
-    "--c10 2.23 --c01 0.703 --window-friction 0.15 --sample-friction 0.05 --element-size 0.125 "
-    "--output stress.nc --plot stress.png. Cost: seconds for 10,000 elements, minutes for a "
-    "million; the first run on a machine compiles for up to a minute.",
-    submodel: "Example: optical-palpation submodel stress.nc map.mat --field-of-view 5 5 "
-    "--initial-thickness 0.5 --region 1 2 2 3 --element-size 0.025 --output part.nc. Cost: that of "
-    "as many elements as the region and its margin have.",
-    demo: "Example: optical-palpation demo --output demo-output. Cost: about a minute.",
-    sample: "Example: optical-palpation sample relief --output relief. Cost: some seconds.",
-    new: "Example: optical-palpation new study.toml",
-    run: "Examples: optical-palpation run study.toml; several: run A.toml B.toml; another "
-    "friction: run study.toml --set friction.window=0.2; only look whether all is there: run "
-    "study.toml --check. Cost: seconds to minutes, by element size.",
-    batch: "Example: optical-palpation batch scans.csv --output results. Cost: that of each study, "
-    "shared among the workers.",
-    watch: "Example: optical-palpation watch scans study.toml --pattern '*.oct'. Cost: for a map "
-    "a second or less at 5,000 elements; of volumes, finding the layer comes first.",
-    thickness: "Example: optical-palpation thickness loaded.oct --output loaded.nc --plot "
-    "loaded.png. Cost: some seconds for 500 x 500 A-scans.",
-    friction: "Example: optical-palpation friction profile.csv --layer-size 10 10 "
-    "--initial-thickness 0.5 --loaded-thickness 0.45 --region 1 --c10 2.23 --plot friction.png. "
-    "Cost: a minute or so for new calibration curves; --save-calibration keeps them.",
-    material: "Example: optical-palpation material test.csv --law mooney-rivlin --plot fit.png",
-    experiment: "Example: optical-palpation experiment sinusoid --output sinusoid. Cost: minutes; "
-    "a larger --element-size is quicker.",
-    uncertainty: "Example: optical-palpation uncertainty study.toml --modulus 0.02 "
-    "--thickness-noise 0.001 --probes 2. Cost: two solutions for each error, two for each probe "
-    "of noise.",
-    reproduce: "Example: optical-palpation reproduce --output validation --only material. Cost: "
-    "all parts take an hour or more; --quick shows that they run.",
-    figure: "Examples: optical-palpation figure stress.nc --output figure.pdf; one map: figure "
-    "stress.nc --map axial_stress --width single --limits -5 0 --scale-bar --output map.pdf",
-    regions: "Example: optical-palpation regions stress.nc RoiSet.zip --output table.csv --plot "
-    "regions.png",
-    compare: "Example: optical-palpation compare before.nc after.nc --register --plot both.png",
-    report: "Example: optical-palpation report stress.nc --compare other.nc --output report.html",
-    convert: "Example: optical-palpation convert stress.nc --output stress.mat --output stress.tif",
+    stress: epilog(
+        [
+            "stress map.mat --field-of-view 5 5 --initial-thickness 0.5 --c10 2.23 --c01 0.703 "
+            "--window-friction 0.15 --sample-friction 0.05 --element-size 0.125 "
+            "--output stress.nc --plot stress.png"
+        ],
+        "seconds for 10,000 elements, minutes for a million; the first run on a machine compiles "
+        "for up to two minutes.",
+    ),
+    submodel: epilog(
+        [
+            "submodel stress.nc map.mat --field-of-view 5 5 --initial-thickness 0.5 "
+            "--region 1 2 2 3 --element-size 0.025 --output part.nc"
+        ],
+        "that of as many elements as the region and its margin have.",
+    ),
+    demo: epilog(["demo --output demo-output"], "about a minute."),
+    sample: epilog(["sample relief", "sample nodule --output mine"], "some seconds."),
+    new: epilog(["new study.toml"]),
+    run: epilog(
+        [
+            "run study.toml",
+            "run study.toml --check",
+            "run study.toml --set friction.window=0.2",
+            "run A.toml B.toml",
+        ],
+        "seconds to minutes, by element size; the first run on a machine compiles for up to two "
+        "minutes.",
+    ),
+    batch: epilog(
+        ["batch scans.csv --output results"], "that of each study, shared among the workers."
+    ),
+    watch: epilog(
+        ["watch scans study.toml --pattern '*.oct'"],
+        "for a map a second or less at 5,000 elements; of volumes, finding the layer comes first.",
+    ),
+    thickness: epilog(
+        ["thickness loaded.oct --output loaded.nc --plot loaded.png"],
+        "some seconds for 500 x 500 A-scans.",
+    ),
+    friction: epilog(
+        [
+            "friction profile.csv --layer-size 10 10 --initial-thickness 0.5 "
+            "--loaded-thickness 0.45 --region 1 --c10 2.23 --plot friction.png"
+        ],
+        "a minute or so for new calibration curves; --save-calibration keeps them.",
+    ),
+    material: epilog(["material test.csv --law mooney-rivlin --plot fit.png"]),
+    experiment: epilog(
+        ["experiment sinusoid --output sinusoid"], "minutes; a larger --element-size is quicker."
+    ),
+    uncertainty: epilog(
+        ["uncertainty study.toml --modulus 0.02 --thickness-noise 0.001 --probes 2"],
+        "that of the study, and two solutions more for each probe of noise.",
+    ),
+    reproduce: epilog(
+        ["reproduce --output validation --only material"],
+        "all parts take an hour or more; --quick shows that they run.",
+    ),
+    figure: epilog(
+        [
+            "figure stress.nc --output figure.pdf",
+            "figure stress.nc --map axial_stress --width single --limits -5 0 --scale-bar "
+            "--output map.pdf",
+        ]
+    ),
+    regions: epilog(["regions stress.nc RoiSet.zip --output table.csv --plot regions.png"]),
+    compare: epilog(["compare before.nc after.nc --register --plot both.png"]),
+    report: epilog(["report stress.nc --compare other.nc --output report.html"]),
+    convert: epilog(["convert stress.nc --output stress.mat --output stress.tif"]),
 }
-for command, epilog in _EPILOGS.items():
+for command, text in _EPILOGS.items():
     kind = ElementSizeCommand if command in (stress, submodel) else Command
-    app.command(cls=kind, epilog=epilog)(command)
+    app.command(cls=kind, epilog=text)(command)
 
 
 def _print_version(wanted: bool) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from optical_palpation.cli.options import Quiet, Threads
 from optical_palpation.cli.sample import sample
 from optical_palpation.cli.study import run
 
@@ -23,10 +24,14 @@ def demo(
     output: Annotated[
         Path, typer.Option(metavar="FOLDER", help="Folder for the results; made if need be.")
     ] = Path("demo-output"),
+    threads: Threads = None,
+    quiet: Quiet = False,
 ) -> None:
     """Make the sample "relief", run its study, and compare the result with the truth."""
-    sample("relief", output)
-    run([output / "study.toml"])
+    sample("relief", output, quiet)
+    run([output / "study.toml"], threads=threads, quiet=quiet)
+    if quiet:
+        return
 
     import xarray as xr
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from optical_palpation.cli.options import Quiet, Threads
 from optical_palpation.cli.progress import ProgressDisplay
 from optical_palpation.errors import OutputError
 
@@ -33,10 +34,8 @@ def experiment(
     volumes: Annotated[
         bool, typer.Option("--volumes", help="Also write OCT volumes: unloaded.npy, loaded.npy.")
     ] = False,
-    threads: Annotated[
-        int | None, typer.Option(metavar="NUMBER", help="Number of threads.")
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
 ) -> None:
     """Press a layer on a virtual sample: its thickness as OCT would see it, and the true stress.
 

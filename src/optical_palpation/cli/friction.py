@@ -19,6 +19,7 @@ from optical_palpation.cli.law import (
     LAW_HELP,
     LawChoice,
 )
+from optical_palpation.cli.options import Quiet, Threads
 
 _LAYER, _VOLUMES, _OUTPUT = "Layer and calibration", "Volumes", "Output"
 
@@ -234,9 +235,8 @@ def friction(
             rich_help_panel=_LAYER,
         ),
     ] = None,
-    quiet: Annotated[
-        bool, typer.Option("--quiet", help="Print nothing but errors.", rich_help_panel=_OUTPUT)
-    ] = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
 ) -> None:
     """Estimate the friction at the window from the displacement under a small step.
 
@@ -271,6 +271,7 @@ def friction(
     from optical_palpation import friction as library
     from optical_palpation import present
     from optical_palpation.material import make_law
+    from optical_palpation.palpation.threads import limited_threads
     from optical_palpation.present.friction_figure import write_friction_figure
     from optical_palpation.present.record import write_friction
 
@@ -325,7 +326,7 @@ def friction(
                 print(f"calibration: {text}, {passed:.0f} s", file=sys.stderr, flush=True)
 
         say(f"{len(values)} curves; the first run compiles for up to a minute")
-        with _each(workers, scheduler) as each:
+        with limited_threads(threads), _each(workers, scheduler) as each:
             curves = library.calibration_curves(
                 values,
                 layer_size=layer_size,

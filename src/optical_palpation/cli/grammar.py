@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from typer.core import TyperArgument, TyperCommand
+
+_PROMPT = "$ "
+
+
+def epilog(examples: Sequence[str], cost: str = "") -> str:
+    """Return the end of a help, in Markdown: examples, and what the command costs if it is long."""
+    lines = [f"Example{'s' if len(examples) > 1 else ''}:", "", "```console"]
+    lines += [f"{_PROMPT}optical-palpation {example}" for example in examples]
+    lines += ["```"]
+    return "\n".join([*lines, "", f"Cost: {cost}"] if cost else lines)
 
 
 class Command(TyperCommand):
@@ -15,3 +26,33 @@ class Command(TyperCommand):
         for parameter in self.params:
             if isinstance(parameter, TyperArgument) and hasattr(parameter, "display_type_rich"):
                 parameter.display_type_rich = lambda ctx: None  # type: ignore[method-assign]
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Name the arguments as their help does; in brackets what may be left out."""
+        names = []
+        for parameter in self.get_params(ctx):
+            if isinstance(parameter, TyperArgument):
+                name = str(parameter.metavar or parameter.name).upper()
+                names.append(name if parameter.required else f"[{name}]")
+        return ["[OPTIONS]", *names]
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the examples so that a terminal gives them back to a shell."""
+        for line in (self.epilog or "").splitlines():
+            if line.startswith(_PROMPT):
+                formatter.write("\n".join(_broken(line.removeprefix(_PROMPT), formatter.width)))
+                formatter.write("\n")
+            elif line and not line.startswith("```"):
+                formatter.write_paragraph()
+                formatter.write_text(line)
+
+
+def _broken(command: str, width: int) -> Iterator[str]:
+    """Lines of a command, broken before options where they would be too long."""
+    before, line = "  ", ""
+    for part in command.replace(" --", "\n--").split("\n"):
+        if line and len(before) + len(line) + len(part) + 3 > width:
+            yield f"{before}{line} \\"
+            before, line = "      ", ""
+        line = f"{line} {part}".strip()
+    yield before + line

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optical_palpation.cli.law import LawChoice
+from optical_palpation.cli.options import Quiet
 
 if TYPE_CHECKING:
     from optical_palpation.material import UniaxialFit
@@ -99,7 +100,7 @@ def material(
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also draw test and fits (.png, .pdf).")
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Fit hyperelastic laws to a uniaxial test of the layer's material."""
     from optical_palpation import present

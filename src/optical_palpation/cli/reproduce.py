@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from optical_palpation.cli.options import Quiet, Threads
 from optical_palpation.cli.progress import ProgressDisplay
 
 
@@ -39,10 +40,8 @@ def reproduce(
     again: Annotated[
         bool, typer.Option("--again", help="Recompute parts that are there already.")
     ] = False,
-    threads: Annotated[
-        int | None, typer.Option(metavar="NUMBER", help="Number of threads.", min=1)
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
 ) -> None:
     """Make the validation page (the paper's figures and ours) and the verification page.
 

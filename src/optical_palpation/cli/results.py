@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from optical_palpation.cli.options import Quiet
+
 if TYPE_CHECKING:
     from optical_palpation.palpation import StressResult
 
@@ -14,7 +16,6 @@ _Result = Annotated[
     Path,
     typer.Argument(metavar="RESULT", help="A result (.nc), or the folder of a study."),
 ]
-_Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 _Regions = Annotated[
     Path | None,
     typer.Option(
@@ -61,7 +62,7 @@ def figure(
         bool, typer.Option("--scale-bar", help="A scale bar instead of axes.")
     ] = False,
     regions: _Regions = None,
-    quiet: _Quiet = False,
+    quiet: Quiet = False,
 ) -> None:
     """Draw a figure for a paper: maps of a result, true to scale, with units."""
     from optical_palpation import present
@@ -109,7 +110,7 @@ def regions(
         typer.Option(metavar="FILE", help="Also draw map and regions (.png, .pdf, .svg)."),
     ] = None,
     map: Annotated[str, typer.Option(metavar="NAME", help="Map to look at.")] = "axial_stress",
-    quiet: _Quiet = False,
+    quiet: Quiet = False,
 ) -> None:
     """Print the mean, extremes, force and contrast of regions of interest."""
     from optical_palpation import present
@@ -152,7 +153,7 @@ def compare(
     register: Annotated[
         bool, typer.Option("--register", help="Correct lateral shifts, found from the relief.")
     ] = False,
-    quiet: _Quiet = False,
+    quiet: Quiet = False,
 ) -> None:
     """Compare results on one grid and one scale: differences, with their error where known."""
     from optical_palpation import present
@@ -196,7 +197,7 @@ def report(
     ] = None,
     regions: _Regions = None,
     title: Annotated[str | None, typer.Option(metavar="TEXT", help="Heading.")] = None,
-    quiet: _Quiet = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write the report of a result as one HTML file, with other results and regions on request.
 
@@ -239,7 +240,7 @@ def convert(
             "(ParaView), .csv (profiles), .nc, .png, .pdf, .svg; may be repeated.",
         ),
     ],
-    quiet: _Quiet = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write a result for other programs: MATLAB, Octave, ImageJ, ParaView, a spreadsheet."""
     from optical_palpation import present

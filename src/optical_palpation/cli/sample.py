@@ -7,11 +7,14 @@ from typing import Annotated, Literal
 
 import typer
 
+from optical_palpation.cli.options import Quiet
+
 
 def sample(
     name: Annotated[
         Literal["plate", "relief", "nodule"],
         typer.Argument(
+            metavar="NAME",
             help="plate: flat and without friction, known in closed form. relief: a stiff sample, "
             "as a coin. nodule: soft tissue with a stiff nodule.",
             show_default=False,
@@ -21,13 +24,17 @@ def sample(
         Path | None,
         typer.Option(metavar="FOLDER", help="Folder; made if need be.  [default: NAME]"),
     ] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Write a small measurement with a known answer: OCT volumes, a study of them, the truth."""
     from optical_palpation.experiment.sample_data import SAMPLES, make_sample, sample_truth
 
     folder = output or Path(name)
-    print(f"{name}: {SAMPLES[name]}", flush=True)
+    if not quiet:
+        print(f"{name}: {SAMPLES[name]}", flush=True)
     study = make_sample(name, folder)
+    if quiet:
+        return
     truth = sample_truth(name)
     stress = truth["axial_stress"]
     print(

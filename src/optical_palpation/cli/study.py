@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from optical_palpation.cli.options import Quiet, Threads
 from optical_palpation.cli.progress import ProgressDisplay
 from optical_palpation.errors import ConvergenceError, InputError, OpticalPalpationError
 
@@ -20,12 +21,14 @@ def new(
     file: Annotated[
         Path, typer.Argument(metavar="STUDY", help="The study file to write (.toml).")
     ] = Path("study.toml"),
+    quiet: Quiet = False,
 ) -> None:
     """Write a commented study file to begin with."""
     from optical_palpation.study import write_template
 
     write_template(file)
-    print(f"{file}: fill it in, then: optical-palpation run {file}")
+    if not quiet:
+        print(f"{file}: fill it in, then: optical-palpation run {file}")
 
 
 def run(
@@ -57,10 +60,8 @@ def run(
             show_default=False,
         ),
     ] = None,
-    threads: Annotated[
-        int | None, typer.Option(metavar="NUMBER", help="Number of threads.", min=1)
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
 ) -> None:
     """Do everything that study files ask for; continue where an earlier run was interrupted."""
     from optical_palpation.study import describe_inputs, read_study

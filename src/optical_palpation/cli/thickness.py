@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from optical_palpation.cli.options import Quiet
 from optical_palpation.cli.progress import ProgressDisplay
 
 
@@ -87,7 +88,7 @@ def thickness(
         bool,
         typer.Option("--untrusted", help="Read HDF5 files in a separate process first."),
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Find the layer in an OCT volume and write its thickness, quality and boundaries."""
     from optical_palpation import present

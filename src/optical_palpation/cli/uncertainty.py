@@ -7,12 +7,15 @@ from typing import Annotated
 
 import typer
 
+from optical_palpation.cli.options import Quiet, Threads
 from optical_palpation.cli.progress import ProgressDisplay
 from optical_palpation.errors import InputError
 
 
 def uncertainty(
-    file: Annotated[Path, typer.Argument(help="The study file.", show_default=False)],
+    file: Annotated[
+        Path, typer.Argument(metavar="STUDY", help="The study file.", show_default=False)
+    ],
     window_friction: Annotated[
         float,
         typer.Option(
@@ -73,7 +76,8 @@ def uncertainty(
             show_default=False,
         ),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
 ) -> None:
     """Propagate errors of friction, material and thickness to the stress of a study.
 
@@ -84,6 +88,7 @@ def uncertainty(
 
     from optical_palpation import present, study
     from optical_palpation.analysis import Noise, stress_uncertainty
+    from optical_palpation.palpation.threads import limited_threads
     from optical_palpation.present.uncertainty_figure import write_uncertainty_figure
     from optical_palpation.present.uncertainty_file import write_uncertainty
     from optical_palpation.study.inputs import sample_motion
@@ -98,7 +103,7 @@ def uncertainty(
         )
     wanted = {"result": output, "picture": plot}
     present.check_outputs({k: path for k, path in wanted.items() if path is not None}, [file])
-    with ProgressDisplay(quiet) as progress:
+    with limited_threads(threads), ProgressDisplay(quiet) as progress:
         done = study.run_study(asked, progress=progress)
         nominal = present.read_result(done.folder / "stress.nc")
         grid = asked.grid.model_dump()

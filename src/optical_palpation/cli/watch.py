@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from optical_palpation.cli.options import Threads
 from optical_palpation.cli.progress import ProgressDisplay
 
 
@@ -54,9 +55,7 @@ def watch(
             help="Also compute how much the sides of the layer matter; takes about as long again.",
         ),
     ] = False,
-    threads: Annotated[
-        int | None, typer.Option(metavar="NUMBER", help="Number of threads.", min=1)
-    ] = None,
+    threads: Threads = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but failures.")] = False,
 ) -> None:
     """Compute the stress of each volume or map as it arrives in a folder, until Ctrl-C.
