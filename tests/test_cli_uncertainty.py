@@ -1,5 +1,7 @@
 """``optical-palpation uncertainty`` by what it prints, the files it leaves and its exit status."""
 
+import re
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -78,6 +80,19 @@ def test_end_to_end(here, run):
     assert force_with() == pytest.approx(force, rel=1e-6)
     expected = (force_with(sample_friction=0.03) - force_with(sample_friction=0.01)) * 0.05 / 0.02
     assert by_input["sample_friction"] == pytest.approx(expected, rel=0.03)
+
+
+def test_the_mesh_that_an_accuracy_has_chosen_is_kept(here, run):
+    text = STUDY.replace("element_size = 0.25", "accuracy = 0.1")
+    (here / "study.toml").write_text(text)
+    status, _, err = run("uncertainty", "study.toml", "--thickness-noise", 0.001, "--probes", 1)
+    assert status == 0, err
+    assert "solve 2 of 2" in err
+    assert "solve 3" not in err
+    with xr.open_dataset(here / "results" / "stress.nc", engine="h5netcdf") as maps:
+        elements = int(np.prod(maps.attrs["elements"]))
+    of_solves = set(re.findall(r"solve \d of 2: ([\d,]+) elements", err))
+    assert f"{elements:,}" in of_solves
 
 
 def test_files_of_choice_and_the_study_is_not_solved_again(here, run):

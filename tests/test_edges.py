@@ -111,7 +111,7 @@ def test_the_picture_and_the_report_say_where_the_sides_matter(rough, tmp_path):
             draw_panel(maps, figure)
             assert any(words in axes.get_xlabel() for axes in figure.axes), words
     (row,) = (text for name, text in force_rows(rough["free"]) if name == "Sides of the layer")
-    assert row.startswith("were they padded, the pressure would change by more than 5% on 100%")
+    assert row.startswith("taken as free; were they padded, the pressure would change by more than")
     assert any("sides of the layer" in text for text in warnings_about(rough["free"]))
 
 

@@ -184,7 +184,7 @@ def test_a_study_chooses_its_mesh_by_the_accuracy(tmp_path):
     result = chosen.run()
     attrs = result.maps.attrs
     assert attrs["force_mesh_error_mN"] < 0.1 * attrs["sample_force_mN"]
-    again = chosen.with_(grid={"element_size": attrs["element_size_mm"]}).run()
+    again = chosen.with_(grid={"element_size": attrs["chosen_element_size_mm"]}).run()
     np.testing.assert_array_equal(again.maps["axial_stress"], result.maps["axial_stress"])
     saved = chosen.save(tmp_path / "study.toml")
     assert saved.parameters["grid"]["accuracy"] == 0.1

@@ -1023,6 +1023,32 @@ def annotated():
     return result
 
 
+def test_the_algebraic_method_is_shown_on_the_pixels(show, tmp_path):
+    y, x = np.linspace(1.2, 3.0, 37), np.linspace(-0.4, 1.1, 61)
+    grid_y, grid_x = np.meshgrid(y, x, indexing="ij")
+    pixels = xr.Dataset(
+        {
+            "algebraic_axial_stress": (("y", "x"), -3 - np.sin(9 * grid_x) - 0.5 * grid_y**2),
+            "loaded_thickness": (("y", "x"), thickness(grid_y, grid_x, 1.0)),
+        },
+        {"y": y, "x": x},
+    )
+    maps = annotated().maps
+    maps["algebraic_axial_stress_error"] = 0.1 + 0 * maps["axial_stress"].fillna(0)
+    page = show(write(tmp_path / "pixels.html", StressResult(maps, pixels=pixels)))
+    data = json.loads(page.locator("#data").text_content())
+    assert data["maps"]["algebraic"]["shape"] == [37, 61]
+    assert data["maps"]["loaded-thickness"]["shape"] == [37, 61]
+    assert data["maps"]["computational"]["shape"] == [11, 13]
+    along_x = page.locator("[data-profile='stress'] svg").first
+    assert len(points(along_x, "curve.algebraic")) == 61
+    assert len(points(along_x, "curve.computational")) == 13
+    assert len(points(along_x, "band.algebraic")) == 2 * 61
+    figures = page.locator(".figures").inner_text()
+    mean = float(pixels["algebraic_axial_stress"].mean())
+    assert f"{mean:.1f}".replace("-", "\u2212") in figures
+
+
 def test_further_maps_error_bands_differences_and_regions(show, tmp_path):
     from optical_palpation.analysis import Region
 

@@ -108,7 +108,7 @@ def uncertainty(
         nominal = present.read_result(done.folder / "stress.nc")
         grid = asked.grid.model_dump()
         if grid.pop("accuracy") is not None:  # all on the mesh that was chosen
-            grid["element_size"] = nominal.maps.attrs["element_size_mm"]
+            grid["element_size"] = nominal.maps.attrs["chosen_element_size_mm"]
         measured = xr.load_dataset(done.folder / "thickness.nc", engine="h5netcdf")
         loaded = measured["loaded_thickness"]
         noise = None

@@ -69,7 +69,8 @@ def solve_to_accuracy(
         force = abs(attrs["sample_force_mN"])
         error = attrs.get("force_mesh_error_mN", np.inf) / max(force, 1e-30)
         if error <= accuracy:
-            attrs["accuracy"] = float(accuracy)
+            # elements of this size are the same mesh
+            attrs |= {"accuracy": float(accuracy), "chosen_element_size_mm": size}
             return result
         said = f" (on elements of {size:.2g} mm the error of the mesh is about {error:.1%})"
         size *= float(np.clip(0.9 * accuracy / error, *_FINER))

@@ -48,8 +48,9 @@ def edge_influence(attrs: Mapping[Hashable, Any], always: bool = False) -> str:
     fraction, force = attrs["edge_influence_fraction"], attrs["edge_influence_force"]
     if not always and fraction < NOTABLE_FRACTION and abs(force) < NOTABLE:
         return ""
+    given = f"taken as {attrs['edges']}; " if "edges" in attrs else ""
     return (
-        f"were they {attrs['edge_influence_other']}, the pressure would change by more than "
+        f"{given}were they {attrs['edge_influence_other']}, the pressure would change by more than "
         f"{NOTABLE:.0%} on {fraction:.0%} of the map, and the force by {force:+.1%}"
     )
 

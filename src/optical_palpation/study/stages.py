@@ -204,7 +204,10 @@ def warnings_about(result: StressResult) -> list[str]:
             "was shifted back by that"
         )
     if sides := present.edge_influence(attrs):
-        said.append(f"sides of the layer: {sides}")
+        said.append(
+            f"sides of the layer: {sides}. See to it that the layer ends where the study says, at "
+            "the border of the map or of the extent in [layer], and has such edges"
+        )
     if (imbalance := attrs.get("force_balance", 0.0)) > _NOTABLE_IMBALANCE:
         said.append(
             f"the forces at window and sample differ by {imbalance:.1%}: the solution is not in "

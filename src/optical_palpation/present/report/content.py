@@ -36,11 +36,14 @@ METHODS = {"algebraic": "algebraic_axial_stress", "computational": "axial_stress
 
 
 def methods(result: StressResult) -> dict[str, xr.DataArray]:
-    """Axial stress, kPa, by each method that the result has."""
+    """Axial stress, kPa, by each method that the result has; the algebraic one of each pixel."""
     maps = on_layer(result.maps)
     # The algebraic method alone fills both variables with the same, and has no contact pressure.
     names = METHODS if "contact_pressure" in maps else {"algebraic": "axial_stress"}
-    return {method: maps[name] for method, name in names.items()}
+    fields = {method: maps[name] for method, name in names.items()}
+    if result.pixels is not None and len(fields) > 1:
+        fields["algebraic"] = on_layer(result.pixels)[METHODS["algebraic"]]
+    return fields
 
 
 def thicknesses(
@@ -48,7 +51,8 @@ def thicknesses(
 ) -> dict[str, xr.DataArray]:
     """Thickness, mm, in each state that there is a map of."""
     found = {} if unloaded is None else {"unloaded": unloaded["thickness"]}
-    seen = on_layer(result.maps)["loaded_thickness"] if loaded is None else loaded["thickness"]
+    own = on_layer(result.maps if result.pixels is None else result.pixels)
+    seen = own["loaded_thickness"] if loaded is None else loaded["thickness"]
     return {**found, "loaded": seen}
 
 
@@ -98,7 +102,9 @@ def map_entries(
     names = {"computational": "axial_stress", "algebraic": "algebraic_axial_stress"}
     for method in sorted(stress, reverse=True):
         title, field = f"{method.title()} stress", stress[method]
-        show(method, title, "stress", field, group="stress", mask=of_stress, force=-1.0)
+        measured = method == "algebraic" and "loaded" in masks
+        mask = "loaded" if measured else of_stress
+        show(method, title, "stress", field, group="stress", mask=mask, force=-1.0)
     scales["stress"] = {"colours": STRESS, "units": "kPa"}
     for number, (name, other) in enumerate(others.items()):
         found = compare_results({"this": result.maps, "other": other.maps})["difference"]

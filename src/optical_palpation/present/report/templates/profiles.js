@@ -49,10 +49,13 @@ class ProfilePlot extends Plot {
         .along(this.axis, cursor)
         .map(([at, value]) => [this.toX(at), this.toY(clamp(value, low, high))]);
       if (bands.checked && this.errors[name]) {
-        const error = this.grids[this.errors[name]].along(this.axis, cursor);
-        const values = this.grids[name].along(this.axis, cursor);
+        const error = this.grids[this.errors[name]];
+        const place = (at) => (this.axis === "x" ? [at, cursor.y] : [cursor.x, at]);
         const edge = (sign) =>
-          values.map(([at, v], k) => [this.toX(at), this.toY(clamp(v + sign * error[k][1], low, high))]);
+          this.grids[name]
+            .along(this.axis, cursor)
+            .map(([at, v]) => [at, v + sign * error.at(...place(at))])
+            .map(([at, v]) => [this.toX(at), this.toY(clamp(v, low, high))]);
         const around = [...edge(1), ...edge(-1).reverse()].filter((p) => p.every(Number.isFinite));
         curves.push(svg("path", { class: `band ${name}`, d: `${path(around)}Z` }));
       }
