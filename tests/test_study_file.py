@@ -143,6 +143,8 @@ def test_files_that_are_not_trusted(here):
             ["layer.registration", "true or false"],
         ),
         ("[grid]", "[grid", ["no valid TOML", "line"]),
+        ("c10 = 2.23", "c10 = (2, 1)", ["no valid TOML", "line 14", "c10 = (2, 1)"]),
+        ("threads = 1", 'threads = "', ["no valid TOML"]),
     ],
 )
 def test_errors_name_file_key_value_and_what_would_be_right(here, old, new, words):

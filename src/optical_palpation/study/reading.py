@@ -80,7 +80,12 @@ def read_study(path: str | Path, changes: Mapping[str, object] | None = None) ->
             f"{path}: no such file; 'optical-palpation new {path}' writes one to begin with"
         ) from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: is no valid TOML: {error}") from error
+        found = re.search(r"line (\d+)", str(error))
+        lines = content.decode("utf-8").split("\n")[: int(found[1])] if found else [""]
+        line = lines[-1].strip()
+        raise InputError(
+            f"{path}: is no valid TOML: {error}{': ' + line[:80] if line else ''}"
+        ) from error
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: the study file cannot be read ({error})") from error
     given = changed(given, changes or {})
