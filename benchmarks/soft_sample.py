@@ -7,9 +7,10 @@ The truth is computed on other, finer elements, and gets 1 um of noise on each p
 travel and thickness are known, the motion is not. Printed are the relative errors of the axial
 stress (root mean square, one thickness of the layer and more from its sides) by the algebraic
 method, on an imprint at rest and with the sample in the model; those of the force; how much of the
-map its 95 % band contains, with the standard errors of the inputs that are taken by default or,
-with ``--exact``, with none; misfit and time. ``--flat``
-withholds the relief.
+map its 95 % band contains, with the errors of the inputs that are taken by default or, with
+``--exact``, with none; misfit and time. ``--flat``
+withholds the relief; with ``--loads`` the stress comes from that many loads up to the full one, and
+of a relief that is withheld it is then found.
 """
 
 import argparse
@@ -20,10 +21,10 @@ import xarray as xr
 
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.experiment import ExperimentResult, Scene, read_scene, run_experiment
+from optical_palpation.experiment.recovery import recovered_with_sample
 from optical_palpation.experiment.scene import with_element_size
-from optical_palpation.palpation import computational_stress
-from optical_palpation.stiffness import InputErrors, Sample, sample_stress
-from optical_palpation.thickness import clean_thickness, thickness_map
+from optical_palpation.palpation import InputErrors, computational_stress
+from optical_palpation.thickness import clean_thickness
 
 SCENES = ("sinusoid", "soft_stiff_columns", "random_tissue", "nodule")
 NOISE = 1e-3
@@ -77,29 +78,6 @@ def random_scene(seed: int) -> Scene:
     )
 
 
-def observed(truth: ExperimentResult, seed: int = 0) -> xr.DataArray:
-    """The loaded thickness with noise, as it would be read from a file."""
-    maps, layer = truth.maps, truth.scene.layer
-    values = maps["loaded_thickness"].values
-    values = values + NOISE * np.random.default_rng(seed).normal(size=values.shape)
-    return thickness_map(
-        values,
-        x=maps["x"].values,
-        y=maps["y"].values,
-        layer_extent=(0.0, layer.size[0], 0.0, layer.size[1]),
-    )
-
-
-def known(scene: Scene, flat: bool) -> Sample:
-    """What the user is supposed to know of the sample."""
-    relief = None
-    if scene.sample.relief and not flat:
-        x, y = (np.linspace(0, width, 201) for width in scene.sample.size)
-        height = sum(part.height(*np.meshgrid(x, y)) for part in scene.sample.relief)
-        relief = xr.DataArray(height, {"y": y, "x": x}, ("y", "x"))
-    return Sample(scene.sample.thickness, scene.compression, scene.friction.plate, relief)
-
-
 def error(stress: xr.DataArray, truth: ExperimentResult) -> float:
     """Relative error of an axial stress map, root mean square over the interior."""
     margin, (width, height) = truth.scene.layer.thickness, truth.scene.layer.size
@@ -118,22 +96,32 @@ def covered(maps: xr.Dataset, truth: ExperimentResult) -> float:
 
 
 def compared(
-    scene: Scene, size: float, finer: float, flat: bool, inputs: InputErrors
+    scene: Scene, size: float, finer: float, flat: bool, count: int, inputs: InputErrors | None
 ) -> dict[str, float]:
-    """Compute the truth of a scene and recover it."""
+    """Compute the truth of a scene and recover it, from one load or several."""
     mesh = scene.mesh.model_copy(update={"edge_size": None})
     scene = scene.model_copy(update={"mesh": mesh, "pixel_spacing": 0.025})
-    truth = run_experiment(with_element_size(scene, finer))
-    loaded, friction = observed(truth), scene.friction
+    fine = with_element_size(scene, finer)
+    travels = [scene.compression * (n + 1) / (count + 1) for n in range(1, count)]
+    travels.append(scene.compression)
+    truths = [run_experiment(fine.model_copy(update={"compression": travel})) for travel in travels]
+    truth, friction = truths[-1], scene.friction
+    exact = truth.maps["loaded_thickness"]
+    noise = NOISE * np.random.default_rng(count - 1).normal(size=exact.shape)
+    loaded = (exact + noise).assign_attrs(exact.attrs)
     options = {
         "window_friction": friction.window,
         "sample_friction": friction.sample,
         "element_size": size,
     }
     layer = scene.layer.thickness, scene.layer.material
-    imprint = computational_stress(clean_thickness(loaded)["thickness"], *layer, **options)
+    cleaned = clean_thickness(loaded)["thickness"]
+    imprint = computational_stress(cleaned, *layer, **options, edge_check=False, input_errors=None)
     start, used = time.perf_counter(), time.process_time()
-    maps = sample_stress(loaded, *layer, known(scene, flat), **options, input_errors=inputs).maps
+    result = recovered_with_sample(
+        truths, element_size=size, noise=NOISE, relief_known=not flat, input_errors=inputs
+    )
+    maps = result.maps
     row = {"time / s": time.perf_counter() - start, "cpu / s": time.process_time() - used}
     attrs = maps.attrs
     return {
@@ -146,6 +134,15 @@ def compared(
         "over tolerance": attrs.get("misfit_over_tolerance", np.nan),
         "solutions": attrs.get("forward_solutions", 0),
         **row,
+        **({} if result.series is None else of_series(result.series, truths)),
+    }
+
+
+def of_series(series: xr.Dataset, truths: list[ExperimentResult]) -> dict[str, float]:
+    """Errors at the earlier loads."""
+    return {
+        f"load {n}": error(series["axial_stress"].sel(load=n), truth)
+        for n, truth in enumerate(truths[:-1], start=1)
     }
 
 
@@ -157,15 +154,16 @@ def main() -> None:
     parser.add_argument("--element-size", type=float, default=0.125, metavar="MM")
     parser.add_argument("--truth", type=float, default=0.0833333, metavar="MM")
     parser.add_argument("--flat", action="store_true")
+    parser.add_argument("--loads", type=int, default=1, metavar="COUNT")
     parser.add_argument("--exact", action="store_true")
     asked = parser.parse_args()
     scenes = [random_scene(seed) for seed in range(asked.random)]
     if not scenes:
         scenes = [read_scene(name) for name in asked.scenes or SCENES]
-    rows, inputs = [], InputErrors(*[0.0] * 7) if asked.exact else InputErrors()
+    rows, inputs = [], None if asked.exact else InputErrors()
     for scene in scenes:
         try:
-            row = compared(scene, asked.element_size, asked.truth, asked.flat, inputs)
+            row = compared(scene, asked.element_size, asked.truth, asked.flat, asked.loads, inputs)
         except ConvergenceError as failure:
             print(f"{scene.title}: {failure}", flush=True)
             continue

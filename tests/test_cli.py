@@ -1,6 +1,7 @@
 """The command line end to end, by the files it leaves and the status it exits with."""
 
 import hashlib
+import json
 import re
 import subprocess
 import sys
@@ -385,6 +386,15 @@ def test_installed_command_runs_and_starts_fast():
     ("options", "reason"),
     [
         (["--compression", "0.3"], "--compression: with a deformable sample --sample-thickness"),
+        (["map.npy"], "several maps are a series of loads: --sample-thickness is needed"),
+        (
+            ["--sample-thickness", "1", "--compression", "0.3,x", "--plate-friction", "0.3"],
+            "--compression takes a number for each map; found '0.3,x'",
+        ),
+        (
+            ["--input-error", "sample_thickness=0.01"],
+            "--input-error sample_thickness: only with --sample-thickness",
+        ),
         (
             ["--sample-thickness", "1"],
             "also needs --compression or --total-force",
@@ -428,4 +438,34 @@ def test_deformable_sample_end_to_end(here, run):
     status, _, err = run("stress", "soft.npy", *options, *sample, "3", "--output", "p.nc")
     assert status == 2
     assert "more than layer and sample together are thick" in " ".join(err.split())
+    assert not (here / "p.nc").exists()
+
+
+def test_a_series_of_loads_end_to_end(here, run):
+    """Maps and travels in the order of loading give the relief, and the stress of each load."""
+    y, x = np.meshgrid(np.linspace(0, 2, 41), np.linspace(0, 2, 41), indexing="ij")
+    bowl = (x - 1) ** 2 + (y - 1) ** 2
+    for name, share in (("first", 0.5), ("last", 1.0)):
+        np.save(f"{name}.npy", 0.5 - share * (0.06 - 0.01 * bowl))
+    options = [*MATERIAL, *FRICTION, "--element-size", "0.25", "--field-of-view", "2", "2"]
+    sample = ["--sample-thickness", "1", "--plate-friction", "0.2", "--compression", "0.1", "0.2"]
+    arguments = ["stress", "first.npy", "last.npy", *options, *sample]
+    status, out, err = run(*arguments, "--output", "o.nc", "--no-input-errors")
+    assert status == 0, err
+    assert "loads: 0.1 mm" in out
+    maps = xr.open_dataset("o.nc", engine="h5netcdf")
+    assert maps["sample_relief"].attrs["units"] == "mm"
+    assert json.loads(maps.attrs["earlier_source"]) == ["first.npy"]
+    assert maps.attrs["error_bands"] == "{}"
+    series = xr.open_dataset("o.nc", engine="h5netcdf", group="series")
+    assert series["compression"].values.tolist() == [0.1, 0.2]
+    first, last = (-float(series["axial_stress"].sel(load=n).mean()) for n in (1, 2))
+    assert 0 < first < last
+    arguments[arguments.index("0.1")] = "0.3"
+    status, _, err = run(*arguments, "--output", "p.nc")
+    assert status == 2
+    assert "must rise from map to map" in " ".join(err.split())
+    status, _, err = run("stress", "last.npy", *arguments[3:], "--output", "p.nc")
+    assert status == 2
+    assert "2 values of the compression for 1 maps" in " ".join(err.split())
     assert not (here / "p.nc").exists()

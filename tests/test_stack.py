@@ -7,7 +7,9 @@ import pytest
 
 from optical_palpation.experiment import Scene
 from optical_palpation.experiment.assembly import build
+from optical_palpation.mechanics.iteration import TOLERANCES
 from optical_palpation.mechanics.stack import linear, newton
+from optical_palpation.mechanics.stack.cascade import solve
 from optical_palpation.mechanics.stack.newton import balance, make_solver, newton_step
 from optical_palpation.mechanics.stack.path import follow
 from optical_palpation.mechanics.stack.problem import INTERFACE, LAYER, at_rest, column_forces
@@ -90,6 +92,20 @@ def test_few_iterations_whatever_the_stiffness(factor):
     now = balance(assembly, state)
     *_, iterations = newton_step(assembly, now, make_solver(assembly))
     assert iterations <= 12
+
+
+def test_states_on_the_way_are_in_equilibrium_and_those_of_a_smaller_travel():
+    assembly = build(Scene.model_validate(SCENE))
+    path = solve([assembly], stops=(0.55, 1.0))
+    on_the_way, full = path.stops
+    assert (on_the_way.load, full.load) == (0.55, 1.0)
+    for state in path.stops:
+        assert balance(assembly, state).force_error < TOLERANCES.force
+    less = replace(assembly, compression=0.55 * assembly.compression)
+    alone = solve([less]).state
+    assert on_the_way.forces[LAYER].sum() == pytest.approx(alone.forces[LAYER].sum(), rel=0.01)
+    off = np.linalg.norm(on_the_way.u - alone.u)
+    assert off < 0.02 * np.linalg.norm(alone.u)
 
 
 def test_grids_that_do_not_fit_are_refused():

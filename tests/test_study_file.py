@@ -58,14 +58,23 @@ def test_the_template_is_a_study_and_shows_every_key(here):
     shown = set(paths_in(tomllib.loads(full)))
     # of which some exclude each other
     of_sample = text[text.index("[sample]") : text.index("[grid]")]
-    shown |= {("sample", key) for key in re.findall(r"^# (\w+) = ", of_sample, re.M)}
-    of_grid = text[text.index("[grid]") : text.index("[errors]")]
-    shown |= {("grid", key) for key in re.findall(r"^# (\w+) = ", of_grid, re.M)}
+    before = of_sample.index("[[sample.earlier]]")
+    for table, part in (
+        (("sample",), of_sample[:before]),
+        (("sample", "earlier"), of_sample[before:]),
+        (("grid",), text[text.index("[grid]") : text.index("[errors]")]),
+        (("errors",), text[text.index("[errors]") : text.index("[outputs]")]),
+    ):
+        shown |= {(*table, key) for key in re.findall(r"^# (\w+) = ", part, re.M)}
+    shown.add(("sample", "earlier"))
+    # said elsewhere: those of any law, and of any map
     laws = {("sample", "law", key) for key in Material.model_fields}
-    assert shown >= set(keys_of(Study)) - laws
-    given = re.sub(r"^# (?=\w+ = )", "", of_sample, flags=re.M)
+    maps = {("sample", "earlier", key) for key in MapInput.model_fields}
+    assert shown >= set(keys_of(Study)) - laws - (maps - {("sample", "earlier", "map")})
+    given = re.sub(r"^# (?=\w+ = |\[\[)", "", of_sample, flags=re.M)
     given = "".join(line for line in given.splitlines(True) if not line.startswith("motion"))
-    (here / "relief.nc").touch()
+    for name in ("relief.nc", "loaded-1.nc"):
+        (here / name).touch()
     tables = tomllib.loads(given)["sample"]
     assert read_study(
         make_study(here, STUDY.replace("[0.2, 0.2, 0.1]", "0.2")), {"sample": tables}

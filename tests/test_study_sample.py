@@ -20,7 +20,8 @@ from optical_palpation.present import read_result, write_profiles, write_tiff
 from optical_palpation.present.figure import new_figure
 from optical_palpation.present.panel import draw_panel, panel_height
 from optical_palpation.present.report import write_report
-from optical_palpation.stiffness.sample import SAMPLE_MAPS
+from optical_palpation.present.summary import INPUTS
+from optical_palpation.stiffness.maps import SAMPLE_MAPS
 from optical_palpation.study import describe_inputs, read_study, run_study
 from optical_palpation.study.inputs import facts, parameters
 from optical_palpation.study.run import check_study
@@ -33,6 +34,11 @@ SAMPLE = """
 thickness = 1.0
 compression = 0.25
 plate_friction = 0.3
+"""
+EARLIER = """
+[[sample.earlier]]
+map = "before.nc"
+compression = 0.15
 """
 STUDY = """
 [loaded]
@@ -62,12 +68,11 @@ def write_heights(field, path):
     field.to_dataset(name="height").to_netcdf(path, engine="h5netcdf")
 
 
-@pytest.fixture(scope="session")
-def pressed(tmp_path_factory):
-    """A folder with the loaded thickness of a virtual experiment: noisy, and with a gap."""
+def experiment(compression):
+    """The loaded thickness of a virtual experiment: noisy, and with a gap."""
     scene = Scene.model_validate(
         {
-            "compression": 0.25,
+            "compression": compression,
             "layer": {"size": (3.0, 3.0), "thickness": 0.5},
             "sample": {"size": (3.0, 3.0), "thickness": 1.0},
             "friction": {"window": 0.3, "sample": 0.3, "plate": 0.3},
@@ -83,8 +88,14 @@ def pressed(tmp_path_factory):
     measured = thickness_map(
         values, x=maps["x"].values, y=maps["y"].values, layer_extent=(0.0, 3.0, 0.0, 3.0)
     )
+    return measured.rename("thickness")
+
+
+@pytest.fixture(scope="session")
+def pressed(tmp_path_factory):
+    """A folder with the loaded thickness of a virtual experiment."""
     folder = tmp_path_factory.mktemp("sample")
-    write_thickness_map(measured.rename("thickness"), folder / "loaded.nc")
+    write_thickness_map(experiment(0.25), folder / "loaded.nc")
     write_heights(heights(), folder / "relief.nc")
     return folder
 
@@ -204,7 +215,7 @@ def test_stress_depends_on_what_the_relief_is_and_not_on_its_name(given, pressed
         ("element_size = 0.25", "accuracy = 0.1", ["grid.accuracy"]),
         ("window = 0.3", "window = 'glued'", ['friction.window = "glued"', "slip"]),
         ("sample = 0.3", "sample = 0.3\nslip_length = 0.001", ["friction.slip_length"]),
-        ("[sample]", "[errors]\nwindow_friction = 0.1\n[sample]", ["errors: not with", "own"]),
+        ("[sample]", "[errors]\ncompression = 1.5\n[sample]", ["errors.compression", "less"]),
     ],
 )
 def test_samples_that_cannot_be_used_are_refused_on_reading(given, old, new, words):
@@ -254,9 +265,95 @@ def test_check_refuses_a_sample_that_does_not_fit_to_the_maps(given, pressed, ol
     assert not study.folder.exists()
 
 
+@pytest.fixture(scope="session")
+def before(pressed):
+    """The map of a smaller load of the same sample, beside that of the full one."""
+    write_thickness_map(experiment(0.15), pressed / "before.nc")
+    return pressed / "before.nc"
+
+
+def test_a_series_of_loads_in_a_study(pressed, before):
+    """Found are the relief, which is flat, the stiffness and the force at both loads."""
+    (pressed / "series.toml").write_text(STUDY + SAMPLE + EARLIER)
+    folder = run_study(read_study(pressed / "series.toml")).folder
+    result = read_result(folder / "stress.nc")
+    maps, inside = result.maps, {axis: slice(0.5, 2.5) for axis in "xy"}
+    modulus = maps["sample_youngs_modulus"].sel(inside)
+    assert float(modulus.median()) == pytest.approx(MODULUS, rel=0.2)
+    assert float(maps["sample_relief"].sel(inside).std()) < 0.01
+    np.testing.assert_array_equal(result.series["compression"], [0.15, 0.25])
+    assert json.loads(maps.attrs["earlier_source"]) == ["before.nc"]
+    assert "relief of the unloaded sample" in (folder / "report.html").read_text().lower()
+    record = json.loads((folder / "provenance.json").read_text())
+    assert record["inputs"]["sample-earlier-1"]["map"] == "before.nc"
+    lines = reproducing_lines(read_study(pressed / "series.toml"))
+    assert "compression=[0.15, 0.25]" in lines
+
+
+def test_a_total_force_in_a_study(finished, pressed):
+    """That of the study with the travel leads back to the travel and to the same stress."""
+    known = read_result(finished / "stress.nc").maps
+    force = known.attrs["window_force_mN"]
+    text = STUDY + SAMPLE.replace("compression = 0.25", f"total_force = {force:.3f}")
+    (pressed / "force.toml").write_text(text + "[outputs]\nwrite = []\n")
+    folder = run_study(read_study(pressed / "force.toml")).folder
+    maps = read_result(folder / "stress.nc").maps
+    assert maps.attrs["window_force_mN"] == pytest.approx(force, rel=0.02)
+    assert abs(maps.attrs["compression_mm"] - 0.25) < maps.attrs["compression_error_mm"]
+    inside = {axis: slice(0.5, 2.5) for axis in "xy"}
+    off = maps["axial_stress"].sel(inside) - known["axial_stress"].sel(inside)
+    assert float(np.abs(off).mean()) < 0.05 * float(np.abs(known["axial_stress"]).mean())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("before.nc", "lost.nc", ["sample.earlier[1].map", "there is no"]),
+        ("compression = 0.15", "", ["compression: given for some of the 2 loads"]),
+        ("compression = 0.15", "compression = -0.15", ["compression", "greater than 0"]),
+        ("map =", "file =", ["earlier", "map"]),
+    ],
+)
+def test_earlier_loads_that_cannot_be_used_are_refused(given, before, old, new, words):
+    with pytest.raises(InputError) as error:
+        given(old, new, SAMPLE + EARLIER)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_stress_depends_on_the_earlier_loads(given, before, pressed):
+    alone, study = given(), given(sample=SAMPLE + EARLIER)
+    facts_of_it = stress_stage(study).facts
+    assert facts_of_it != stress_stage(alone).facts
+    assert stress_stage(given("0.15", "0.16", SAMPLE + EARLIER)).facts != facts_of_it
+    (pressed / "same.nc").write_bytes(before.read_bytes())
+    same = given("before.nc", "same.nc", SAMPLE + EARLIER)
+    assert stress_stage(same).facts == facts_of_it
+    with pytest.raises(InputError, match=r"must rise from map to map"):
+        describe_inputs(given("0.15", "0.26", SAMPLE + EARLIER))
+
+
 def test_the_record_has_no_errors_of_inputs_that_are_not_used(given):
-    assert "errors" not in parameters(given())
-    assert "errors" in parameters(given(sample=""))
+    assert parameters(given())["errors"]["compression"] == 0.05
+    alone = given(sample="")
+    assert set(parameters(alone)["errors"]) == {
+        "window_friction",
+        "sample_friction",
+        "modulus",
+        "thickness",
+        "initial_thickness",
+    }
+    with pytest.raises(InputError, match="compression: only with the sample in the model"):
+        given(sample="[errors]\ncompression = 0.02")
+
+
+def test_the_stress_depends_on_the_errors_of_the_inputs(given):
+    other = "[errors]\nsample_thickness = 0.01\n[sample]"
+    study = given("[sample]", other)
+    assert stress_stage(study).facts != stress_stage(given()).facts
+    lines = reproducing_lines(study)
+    assert "errors = palpation.InputErrors(sample_thickness=0.01)" in lines
+    assert "input_errors=errors" in lines
 
 
 def test_check_takes_what_can_be_used(given):
@@ -347,7 +444,7 @@ def test_the_report_has_layers_numbers_and_parameters(finished):
     for row in ('<th scope="row">compression</th><td>0.25 mm', "<td>0.3 (coefficient)"):
         assert row in text
     for name in json.loads(maps.attrs["error_bands"]):
-        assert f'<th scope="row">{name.replace("_", " ")}</th>' in text
+        assert f'<th scope="row">{INPUTS[name]}</th>' in text
     assert "taken not to move sideways" not in text
 
 

@@ -29,8 +29,11 @@ _COLUMNS = {
     "mean_loaded_thickness_mm": "mean thickness (mm)",
     "in_contact_fraction": "in contact",
     "filled_fraction": "filled",
+    "median_sample_youngs_modulus_kPa": "modulus of the sample, median (kPa)",
     "seconds": "time (s)",
 }
+#: Those of them that are there only with a sample in the model.
+_OF_SAMPLE = ("median_sample_youngs_modulus_kPa",)
 _PERCENT = ("in_contact_fraction", "filled_fraction")
 
 
@@ -49,6 +52,8 @@ def write_index(batch: Batch, outcomes: Sequence[Outcome]) -> Path:
     finite = np.concatenate([m[np.isfinite(m)] for m in maps] or [np.zeros(1, np.float32)])
     low, high = (float(v) for v in np.percentile(finite if finite.size else [0.0], [1, 99]))
     settings = list(dict.fromkeys(key for scan in batch.scans for key in scan.overrides))
+    with_sample = any(key in outcome.row for outcome in outcomes for key in _OF_SAMPLE)
+    columns = {k: v for k, v in _COLUMNS.items() if with_sample or k not in _OF_SAMPLE}
     rows = []
     for scan in batch.scans:
         outcome = found.get(scan.name)
@@ -62,7 +67,7 @@ def write_index(batch: Batch, outcomes: Sequence[Outcome]) -> Path:
                 "message": outcome.message if outcome else "",
                 "warnings": row.get("warnings", ""),
                 "settings": [_shown(scan.overrides.get(key)) for key in settings],
-                "numbers": [_number(key, row.get(key)) for key in _COLUMNS],
+                "numbers": [_number(key, row.get(key)) for key in columns],
                 "picture": None if picture is None else _picture(picture, low, high),
                 "link": _link(batch.folder, scan.name),
             }
@@ -75,7 +80,7 @@ def write_index(batch: Batch, outcomes: Sequence[Outcome]) -> Path:
             version=software_version(),
             rows=rows,
             settings=settings,
-            columns=list(_COLUMNS.values()),
+            columns=list(columns.values()),
             low=f"{low:.3g}",
             high=f"{high:.3g}",
             scale=_picture(np.linspace(low, high, 128, dtype=np.float32)[None], low, high),

@@ -21,7 +21,7 @@ from optical_palpation.cli.experiment import experiment
 from optical_palpation.cli.friction import friction
 from optical_palpation.cli.grammar import Command, epilog
 from optical_palpation.cli.material import material
-from optical_palpation.cli.options import ElementSizeCommand
+from optical_palpation.cli.options import SeveralNumbersCommand
 from optical_palpation.cli.reproduce import reproduce
 from optical_palpation.cli.results import compare, convert, figure, regions, report
 from optical_palpation.cli.sample import sample
@@ -125,7 +125,7 @@ _EPILOGS: dict[Callable[..., None], str] = {
     convert: epilog(["convert stress.nc --output stress.mat --output stress.tif"]),
 }
 for command, text in _EPILOGS.items():
-    kind = ElementSizeCommand if command in (stress, submodel) else Command
+    kind = SeveralNumbersCommand if command in (stress, submodel) else Command
     app.command(cls=kind, epilog=text)(command)
 
 

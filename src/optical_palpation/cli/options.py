@@ -75,14 +75,19 @@ Threads = Annotated[
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
 
 
-class ElementSizeCommand(Command):
-    """Lets ``--element-size`` take one value or three, which option parsers cannot express."""
+#: Options that take one number or several.
+_SEVERAL = ("--element-size", "--compression", "--total-force")
+
+
+class SeveralNumbersCommand(Command):
+    """Lets options take one number or several, which option parsers cannot express."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Join the numbers that follow ``--element-size`` with commas, then parse as usual."""
+        """Join the numbers that follow such an option with commas, then parse as usual."""
         joined: list[str] = []
         for argument in args:
-            if joined and joined[-1].startswith("--element-size") and is_number(argument):
+            option = joined[-1].partition("=")[0] if joined else ""
+            if option in _SEVERAL and is_number(argument):
                 separator = "," if "=" in joined[-1] else "="
                 joined[-1] += separator + argument
             else:
@@ -101,6 +106,15 @@ def element_size_of(text: str | None) -> float | tuple[float, ...] | None:
         )
     sizes = tuple(float(part) for part in parts)
     return sizes if len(sizes) == 3 else sizes[0]
+
+
+def numbers_of(option: str, text: str | None) -> tuple[float, ...] | None:
+    """Read an option that takes a number for each map."""
+    if text is None:
+        return None
+    if not all(map(is_number, text.split(","))):
+        raise typer.BadParameter(f"{option} takes a number for each map; found {text!r}")
+    return tuple(float(part) for part in text.split(","))
 
 
 def is_number(text: str) -> bool:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -34,9 +35,13 @@ from optical_palpation.cli.options import (
     Variable,
     element_size_of,
     is_number,
+    numbers_of,
     write_outputs,
 )
 from optical_palpation.cli.progress import ProgressDisplay
+
+if TYPE_CHECKING:
+    from optical_palpation.palpation import InputErrors
 
 
 class Method(StrEnum):
@@ -69,11 +74,12 @@ class SampleLaw(StrEnum):
 
 
 def stress(
-    map: Annotated[
-        Path,
+    maps: Annotated[
+        list[Path],
         typer.Argument(
-            metavar="MAP",
-            help="Loaded thickness: .mat, .npy, .npz, .csv, .txt, .tif or .nc.",
+            metavar="MAP...",
+            help="Loaded thickness: .mat, .npy, .npz, .csv, .txt, .tif or .nc. Several: a series "
+            "of loads of a deformable sample, in the order of loading.",
             show_default=False,
         ),
     ],
@@ -121,17 +127,19 @@ def stress(
         ),
     ] = None,
     compression: Annotated[
-        float | None,
+        str | None,
         typer.Option(
-            metavar="NUMBER",
-            help="Travel of the plate below the sample after layer and sample have met, mm.",
+            metavar="NUMBER...",
+            help="Travel of the plate below the sample after layer and sample have met, mm; one "
+            "for each map.",
         ),
     ] = None,
     total_force: Annotated[
-        float | None,
+        str | None,
         typer.Option(
-            metavar="NUMBER",
-            help="Total force on the window, mN, in place of --compression or as a check of it.",
+            metavar="NUMBER...",
+            help="Total force on the window, mN, in place of --compression or as a check of it; "
+            "one for each map.",
         ),
     ] = None,
     plate_friction: Annotated[
@@ -141,9 +149,9 @@ def stress(
     sample_relief: Annotated[
         Path | None,
         typer.Option(
-            metavar="MAP",
-            help="Height of the sample's unloaded surface, mm, towards the layer; flat if not "
-            "given.",
+            metavar="MAP|flat",
+            help="Height of the sample's unloaded surface, mm, towards the layer. If not given it "
+            "is flat, or found from several maps.",
         ),
     ] = None,
     sample_size: Annotated[
@@ -195,7 +203,9 @@ def stress(
             metavar="NAME=NUMBER",
             help="Half-width of the 95 % interval of an input, instead of the default: "
             "window_friction (0.05), sample_friction (0.05), modulus (0.05, a fraction), thickness "
-            "(0.002 mm), initial_thickness (0.002 mm). May be repeated.",
+            "(0.002 mm), initial_thickness (0.002 mm); with a deformable sample also "
+            "plate_friction (0.05), compression, sample_thickness and total_force (each 0.05, a "
+            "fraction). May be repeated.",
             show_default=False,
         ),
     ] = None,
@@ -284,14 +294,19 @@ def stress(
     if accuracy is not None and element_size is not None:
         raise typer.BadParameter("--accuracy chooses the --element-size: give one of them")
     sizes = element_size_of(element_size)
+    travels = numbers_of("--compression", compression)
+    forces = numbers_of("--total-force", total_force)
+    if len(maps) > 1 and sample_thickness is None:
+        raise typer.BadParameter("several maps are a series of loads: --sample-thickness is needed")
 
     from optical_palpation import present, thickness
     from optical_palpation.material import make_law
     from optical_palpation.palpation import algebraic_stress
     from optical_palpation.palpation.plausibility import check_field, check_layer, check_stress
 
+    *earlier, last = maps
     files = ThicknessFiles(
-        map,
+        last,
         initial_thickness,
         variable,
         initial_variable,
@@ -301,17 +316,20 @@ def stress(
         layer_extent,
         untrusted,
     )
-    inputs = files.paths
+    inputs = [*files.paths, *earlier]
     motion_is_file = sample_motion is not None and not is_number(sample_motion)
     if motion_is_file:
         inputs.append(Path(str(sample_motion)))
-    if sample_relief is not None:
+    flat = str(sample_relief) == "flat"
+    if sample_relief is not None and not flat:
         inputs.append(sample_relief)
     outputs = {"result": output, "picture": plot, "ParaView file": vtk}
     outputs |= {"profiles": profiles, "deck": deck}
     wanted = {kind: path for kind, path in outputs.items() if path is not None}
     present.check_outputs(wanted, inputs)
 
+    wanted_errors = _input_errors(input_error or [], sample_thickness is not None)
+    errors = wanted_errors if input_errors else None
     material = make_law(
         law.value, bulk_to_shear, c10=c10, c01=c01, c20=c20, c30=c30, mu=mu, alpha=alpha
     )
@@ -319,7 +337,7 @@ def stress(
     cleaned = files.loaded()
     loaded = cleaned["thickness"]
     width, height = (float(loaded[axis][-1] - loaded[axis][0]) for axis in "xy")
-    check_field(width, height, str(map))
+    check_field(width, height, str(last))
     initial = files.initial()
     glued = sample is Hold.GLUED
     check_stress(algebraic_stress(loaded, initial, material, glued=glued))
@@ -333,32 +351,37 @@ def stress(
         if not isinstance(sizes, float):
             raise typer.BadParameter("--element-size: one number with a deformable sample")
         assert plate_friction is not None  # refused above
-        relief = None if sample_relief is None else thickness.read_height_map(sample_relief)
+        relief: Any = "flat" if flat else None
+        if sample_relief is not None and not flat:
+            relief = thickness.read_height_map(sample_relief)
+        loads = [replace(files, map=path).loaded() for path in earlier]
+        # What was filled says nothing of the sample.
+        measured = [each["thickness"].where(~each["filled"]) for each in (*loads, cleaned)]
         law_of_sample = material if sample_law is SampleLaw.LAYER else None
         with ProgressDisplay(quiet) as progress:
             result = sample_stress(
-                loaded,
+                measured,
                 initial,
                 material,
                 Sample(
                     sample_thickness,
-                    compression,
+                    travels,
                     plate_friction,
                     relief,
                     sample_size,
                     law_of_sample,
-                    total_force,
+                    forces,
                 ),
                 window_friction=holds["window"],
                 sample_friction=holds["sample"],
                 element_size=sizes,
                 smoothing=stiffness_smoothing,
+                input_errors=errors,
                 threads=threads,
                 progress=progress,
             )
     else:
         from optical_palpation.palpation import (
-            InputErrors,
             computational_stress,
             read_sample_motion,
             uniform_motion,
@@ -385,7 +408,7 @@ def stress(
                 imprint_smoothing=imprint_smoothing,
                 slip_length=slip_length,
                 threads=threads,
-                input_errors=InputErrors.parsed(input_error or []) if input_errors else None,
+                input_errors=errors,
                 progress=progress,
             )
     # The maps of the computational method lie on the nodes of its elements, not on the pixels.
@@ -397,6 +420,20 @@ def stress(
         result.maps.attrs["initial_thickness_input_sha256"] = initial.attrs["source_sha256"]
 
     write_outputs(result, wanted, quiet)
+
+
+def _input_errors(given: list[str], modelled: bool) -> InputErrors:
+    """Errors of the inputs as the options give them."""
+    from optical_palpation.palpation import InputErrors
+    from optical_palpation.palpation.input_errors import OF_SAMPLE
+
+    errors = InputErrors.parsed(given)
+    named = {text.partition("=")[0].strip().replace("-", "_") for text in given}
+    if not modelled and (of_sample := [name for name in OF_SAMPLE if name in named]):
+        raise typer.BadParameter(
+            f"--input-error {', '.join(of_sample)}: only with --sample-thickness"
+        )
+    return errors
 
 
 def _check_sample_options(needed: dict[str, Any], in_the_way: dict[str, bool]) -> None:

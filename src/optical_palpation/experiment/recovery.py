@@ -16,6 +16,8 @@ from optical_palpation.palpation import (
     computational_stress,
     uniform_motion,
 )
+from optical_palpation.palpation.input_errors import InputErrors
+from optical_palpation.stiffness import Sample, sample_stress
 from optical_palpation.thickness import clean_thickness
 from optical_palpation.thickness.frames import inside_layer
 
@@ -80,6 +82,69 @@ def recovered_stress(
         sample_friction=scene.friction.sample if sample_friction is None else sample_friction,
         element_size=element_size,
         sample_motion=sample_motion,
+        threads=threads,
+        progress=progress,
+    )
+
+
+def recovered_with_sample(
+    results: Sequence[ExperimentResult],
+    *,
+    element_size: float,
+    noise: float = 1e-3,
+    relief_known: bool = True,
+    input_errors: InputErrors | None = None,
+    threads: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> StressResult:
+    """Find stress and stiffness with the sample in the model, of whose motion nothing is known.
+
+    Parameters
+    ----------
+    results
+        Virtual experiments of one sample, one for each load, in the order of loading.
+    element_size
+        Elements, mm; not those of the experiments.
+    noise
+        Standard deviation of the error added to each pixel of the thickness, mm.
+    relief_known
+        Whether the relief of the sample is given; else it is taken as flat with one load, and
+        found from several.
+    input_errors, threads, progress
+        As for :func:`~optical_palpation.stiffness.sample_stress`.
+
+    Raises
+    ------
+    InputError, ConvergenceError
+        As that function.
+    """
+    scene = results[-1].scene
+    loads = []
+    for seed, result in enumerate(results):
+        exact = result.maps["loaded_thickness"]
+        error = np.random.default_rng(seed).normal(0.0, 1.0, exact.shape)
+        loads.append((exact + noise * error).assign_attrs(exact.attrs))
+    relief: xr.DataArray | None = None
+    if relief_known and scene.sample.relief:
+        x, y = (np.linspace(0, width, 201) for width in scene.sample.size)
+        height = sum(part.height(*np.meshgrid(x, y)) for part in scene.sample.relief)
+        relief = xr.DataArray(height, {"y": y, "x": x}, ("y", "x"))
+    sample = Sample(
+        thickness=scene.sample.thickness,
+        compression=[result.scene.compression for result in results],
+        plate_friction=scene.friction.plate,
+        relief=relief,
+        size=scene.sample.size,
+    )
+    return sample_stress(
+        loads,
+        scene.layer.thickness,
+        scene.layer.material,
+        sample,
+        window_friction=scene.friction.window,
+        sample_friction=scene.friction.sample,
+        element_size=element_size,
+        input_errors=input_errors,
         threads=threads,
         progress=progress,
     )

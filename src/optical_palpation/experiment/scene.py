@@ -20,6 +20,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from optical_palpation import material
 from optical_palpation.errors import InputError
+from optical_palpation.thickness.frames import smooth_map
 from optical_palpation.volume.contents import translated_errors
 from optical_palpation.volume.labels import labelled
 from optical_palpation.volume.opening import MAP_READERS, open_contents
@@ -374,38 +375,38 @@ def map_height(height: xr.DataArray, x: Array, y: Array) -> Array:
     unit = stated_unit("", height.attrs, "the relief")
     if unit not in (None, "mm"):
         raise InputError(f"the relief is in {unit}; give it in mm")
-    return _interpolated(height, ("y", "x"), (y, x), order=3)
+    _check_axes(height, ("y", "x"))
+    return smooth_map(height)(x, y)
 
 
 def volume_factor(volume: xr.DataArray, x: Array, y: Array, depth: Array) -> Array:
     """Nearest value of a stiffness map (y, x) or volume (z, y, x) at points."""
     dims = ("z", "y", "x")[-volume.ndim :]
-    values = _interpolated(volume, dims, (depth, y, x)[-volume.ndim :], order=0)
-    if not (np.isfinite(values).all() and (values > 0).all()):
+    _check_axes(volume, dims)
+    data = volume.transpose(*dims).values.astype(float)
+    places = []
+    for dim, points in zip(dims, (depth, y, x)[-volume.ndim :], strict=True):
+        axis = volume[dim].values.astype(float)
+        places.append(np.interp(points, axis, np.arange(axis.size)))
+    values = map_coordinates(data, places, order=0, mode="nearest")
+    if not (np.isfinite(data).all() and (values > 0).all()):
         raise InputError("stiffness: the factors must be positive and finite")
     return values
 
 
-def _interpolated(
-    field: xr.DataArray, dims: tuple[str, ...], points: tuple[Array, ...], order: Literal[0, 3]
-) -> Array:
+def _check_axes(field: xr.DataArray, dims: tuple[str, ...]) -> None:
+    """Refuse a field without ascending coordinates in mm."""
     if set(field.dims) != set(dims):
         raise InputError(f"a field on ({', '.join(dims)}) is needed, not on {field.dims}")
-    positions = []
-    for dim, values in zip(dims, points, strict=True):
+    for dim in dims:
         if dim not in field.coords:
             raise InputError(f"the field has no coordinates along {dim}, in mm")
         unit = stated_unit(dim, field[dim].attrs, f"the field, coordinate {dim}")
         if unit not in (None, "mm"):
             raise InputError(f"the {dim} coordinates of the field are in {unit}; give them in mm")
-        axis = field[dim].values.astype(float)
+        axis = field[dim].values
         if axis.size < 2 or not (np.diff(axis) > 0).all():
             raise InputError(f"the {dim} coordinates must ascend and be two at least")
-        positions.append(np.interp(values, axis, np.arange(axis.size)))
-    data = field.transpose(*dims).values.astype(float)
-    if not np.isfinite(data).all():
-        raise InputError("the field has missing values: fill them first")
-    return map_coordinates(data, positions, order=order, mode="nearest")
 
 
 def _random_field(points: tuple[Array, ...], length: float, seed: int) -> Array:

@@ -260,7 +260,7 @@ def computational_stress(
         maps["edge_influence"] = influence.described()
         maps.attrs |= influence.attributes
     derivatives = None
-    if input_errors is not None and input_errors.any:
+    if input_errors is not None and input_errors.any_of_layer:
         with limited_threads(threads):
             report.stage("sensitivities", 1.0)
             derivatives = sensitivities(

@@ -11,6 +11,9 @@ import xarray as xr
 
 from optical_palpation.errors import InputError
 
+#: Inputs that there are only with the sample in the model.
+OF_SAMPLE = ("plate_friction", "compression", "sample_thickness", "total_force")
+
 
 @dataclass(frozen=True)
 class InputErrors:
@@ -18,7 +21,8 @@ class InputErrors:
 
     The defaults are those of careful work, not of yours: friction as in the error bars of the
     paper, the stiffness of a layer that was tested beside its batch, thicknesses from OCT with a
-    refractive index known to 0.5 %.
+    refractive index known to 0.5 %; travel, thickness and force as a stage, a caliper and a load
+    cell give them.
 
     Attributes
     ----------
@@ -28,6 +32,15 @@ class InputErrors:
         Of the layer's stiffness, common to all coefficients of its law, as a fraction of it.
     thickness, initial_thickness
         Common to the whole loaded, and the whole unloaded, thickness, mm.
+    plate_friction
+        Of the coefficient of friction between sample and plate; this and the next three count only
+        with the sample in the model.
+    compression
+        Of the travel of the plate, as a fraction of it.
+    sample_thickness
+        Of the unloaded thickness of the sample, as a fraction of it.
+    total_force
+        Of a total force that is given instead of the travel, as a fraction of it.
     """
 
     window_friction: float = 0.05
@@ -35,6 +48,10 @@ class InputErrors:
     modulus: float = 0.05
     thickness: float = 0.002
     initial_thickness: float = 0.002
+    plate_friction: float = 0.05
+    compression: float = 0.05
+    sample_thickness: float = 0.05
+    total_force: float = 0.05
 
     @classmethod
     def parsed(cls, given: Sequence[str]) -> InputErrors:
@@ -63,14 +80,20 @@ class InputErrors:
         return cls(**values)
 
     @property
-    def any(self) -> bool:
-        """Whether there is any."""
-        return any(asdict(self).values())
+    def any_of_layer(self) -> bool:
+        """Whether there is any that counts without a sample in the model."""
+        given = asdict(self)
+        return any(error for name, error in given.items() if name not in OF_SAMPLE)
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
             if not (isinstance(value, int | float) and 0 <= value < np.inf):
                 raise InputError(f"error of {name}: a number of at least 0, not {value!r}")
+        for name in ("compression", "sample_thickness", "total_force"):
+            if getattr(self, name) >= 1:
+                raise InputError(
+                    f"error of {name}: a fraction of it below 1, not {getattr(self, name)!r}"
+                )
 
 
 #: Unless others are given.

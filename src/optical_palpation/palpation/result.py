@@ -67,6 +67,9 @@ class StressResult:
     sensitivities
         Derivatives by each ``input``, per its ``unit``: ``force`` (mN) and ``axial_stress`` (kPa,
         on ``(input, y, x)``); ``None`` where they were not computed.
+    series
+        Of several loads: the maps of each, on ``(load, y, x)``, its forces and the ``compression``
+        (mm); ``None`` of one load. ``maps`` are those of the last one.
     problem
         The boundary-value problem that was solved, for export to other codes; ``None`` for the
         algebraic method.
@@ -78,6 +81,7 @@ class StressResult:
     layer: xr.Dataset | None = None
     pixels: xr.Dataset | None = field(default=None, kw_only=True)
     sensitivities: xr.Dataset | None = field(default=None, kw_only=True, repr=False)
+    series: xr.Dataset | None = field(default=None, kw_only=True, repr=False)
     problem: LayerProblem | None = None
     state: LayerState | None = field(default=None, repr=False)
 

@@ -21,7 +21,12 @@ from optical_palpation.mechanics.stack.problem import (
     State,
 )
 from optical_palpation.palpation.result import ContactState
-from optical_palpation.palpation.surface import SLIP_SHARE, surface_axial_stress
+from optical_palpation.palpation.surface import (
+    SLIP_SHARE,
+    material_points,
+    surface_axial_stress,
+    surface_field,
+)
 
 Array = NDArray[np.float64]
 _FLAGS = {
@@ -75,8 +80,8 @@ def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
         **{f"traction_{c}": force[n] / grid.surface_areas(surface) for n, c in enumerate("xyz")},
     }
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
-    at_sample, outside = _material_points(grid, surface, target)
-    at_window, _ = _material_points(grid, position[:, 0], target)
+    at_sample, outside = material_points(grid, surface[0], surface[1], target)
+    at_window, _ = material_points(grid, position[0, 0], position[1, 0], target)
     maps = xr.Dataset(
         coords={
             "y": ("y", y, {"units": "mm", "long_name": "lateral position y"}),
@@ -92,7 +97,8 @@ def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
         maps[name] = (("y", "x"), values, {**millimetres, "long_name": text})
     below = stack.bodies[SAMPLE]
     moved = stack.split(state.u)[SAMPLE][:, 0]
-    at_layer, _ = _material_points(below.grid, below.nodes[:, 0] + moved, target)
+    there = below.nodes[:, 0] + moved
+    at_layer, _ = material_points(below.grid, there[0], there[1], target)
     for component, axis in zip(moved, "xy", strict=False):
         text = f"lateral displacement of the sample's surface, {axis}"
         values = _smooth(below.grid, component, at_layer)
@@ -102,7 +108,9 @@ def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
             {**millimetres, "long_name": text},
         )
     for name, text in _STRESSES.items():
-        values = RegularGridInterpolator((grid.y, grid.x), fields[name])(at_sample)
+        values = surface_field(grid, fields[name])(at_sample)
+        if name == "contact_pressure":
+            values = np.maximum(values, 0.0)  # a cubic may overshoot where contact ends
         values[outside] = np.nan
         maps[name] = (("y", "x"), values, {"units": "kPa", "long_name": text})
     for name, contact in (("contact_state", INTERFACE), ("window_contact_state", WINDOW)):
@@ -183,23 +191,6 @@ def body_dataset(stack: Stack, state: State, which: int) -> xr.Dataset:
             "tensor": ["xx", "yy", "zz", "yz", "xz", "xy"],
         },
     )
-
-
-def _material_points(
-    grid: LayerGrid, surface: Array, target: Array
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Reference (y, x) of the points of a surface at laboratory (y, x), and which miss it."""
-    moved = np.stack([surface[1] - grid.y[:, None], surface[0] - grid.x], axis=-1)
-    shift = RegularGridInterpolator((grid.y, grid.x), moved)
-    lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
-    reference = target.copy()
-    tolerance = 1e-6 * (upper - lower)
-    for _ in range(60):
-        before, reference = reference, target - shift(np.clip(reference, lower, upper))
-        if (np.abs(reference - before) < 1e-6 * tolerance).all():
-            break
-    outside = ((reference < lower - tolerance) | (reference > upper + tolerance)).any(-1)
-    return np.clip(reference, lower, upper), outside
 
 
 def _smooth(grid: LayerGrid, values: Array, points: Array) -> Array:

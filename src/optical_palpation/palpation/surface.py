@@ -114,7 +114,7 @@ def surface_axial_stress(stress: Array, normal: Array, pressure: Array) -> Array
     return zz - along - pressure
 
 
-def _interpolator(grid: LayerGrid, field: Array) -> Callable[[Array], Array]:
+def surface_field(grid: LayerGrid, field: Array) -> Callable[[Array], Array]:
     """Interpolation of a nodal field of the surface at reference points (..., 2), y before x.
 
     Cubic where the nodes are evenly spaced, since linear interpolation flattens relief of a few
@@ -166,7 +166,7 @@ def material_points(
     tuple
         Points (..., 2) of the unloaded layer, and which of `target` (...) the layer does not cover.
     """
-    moved = [_interpolator(grid, y - grid.y[:, None]), _interpolator(grid, x - grid.x)]
+    moved = [surface_field(grid, y - grid.y[:, None]), surface_field(grid, x - grid.x)]
     lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
     reference = target
     for _ in range(40):
@@ -207,7 +207,7 @@ def surface_maps(
         }
     )
     for name, text in units.items():
-        values = np.where(outside, np.nan, _interpolator(grid, surface[name])(reference))
+        values = np.where(outside, np.nan, surface_field(grid, surface[name])(reference))
         if name == "contact_pressure" and not glued:
             values = np.maximum(values, 0.0)  # a cubic may overshoot where contact ends
         maps[name] = (("y", "x"), values, {"units": "kPa", "long_name": text})

@@ -55,8 +55,9 @@ def write_result(result: StressResult, path: str | Path) -> None:
     """Write a result as a NetCDF-4 file.
 
     The maps are at the root, the deformed layer, if the result has one, in the group ``layer``
-    (in single precision, its axes named ``node_z``, ``node_y``, ``node_x`` there); the problem
-    and its state, if the result holds these, in ``problem`` and ``state``.
+    (in single precision, its axes named ``node_z``, ``node_y``, ``node_x`` there); the maps of each
+    load of a series in ``series``; the problem and its state, if the result holds these, in
+    ``problem`` and ``state``.
     Units, signs, axis order, origin, spacing, software version and all parameters are attributes.
     The file replaces an older one only when it is complete.
 
@@ -78,6 +79,9 @@ def write_result(result: StressResult, path: str | Path) -> None:
     if result.sensitivities is not None:  # on the points of the maps
         groups["/sensitivities"] = result.sensitivities.drop_vars(["y", "x"])
         encoding["/sensitivities"] = _compression(groups["/sensitivities"])
+    if result.series is not None:
+        series = _described(result.series)
+        groups["/series"], encoding["/series"] = series.drop_vars(["y", "x"]), _compression(series)
     for name, group in state_groups(result).items():
         groups[f"/{name}"], encoding[f"/{name}"] = group, _compression(group)
     # By way of memory, because the HDF5 library can crash on a disk that fills up under it.
@@ -102,7 +106,9 @@ def read_result(path: str | Path) -> StressResult:
     try:
         with hdf5.open_file(path) as file:  # refuses what is no NetCDF-4 file, or damaged
             inside = {
-                name for name in ("layer", "pixels", "sensitivities", *GROUPS) if name in file
+                name
+                for name in ("layer", "pixels", "sensitivities", "series", *GROUPS)
+                if name in file
             }
         maps = xr.load_dataset(path, engine="h5netcdf", decode_times=False)
         groups = {
@@ -125,7 +131,17 @@ def read_result(path: str | Path) -> StressResult:
     derivatives = groups.pop("sensitivities", None)
     if derivatives is not None:
         derivatives = derivatives.assign_coords({axis: maps[axis] for axis in "yx"})
-    return StressResult(maps, layer, **read_state(groups), pixels=pixels, sensitivities=derivatives)
+    series = groups.pop("series", None)
+    if series is not None:
+        series = series.assign_coords({axis: maps[axis] for axis in "yx"})
+    return StressResult(
+        maps,
+        layer,
+        **read_state(groups),
+        pixels=pixels,
+        sensitivities=derivatives,
+        series=series,
+    )
 
 
 def _described(dataset: xr.Dataset) -> xr.Dataset:

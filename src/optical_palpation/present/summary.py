@@ -80,12 +80,17 @@ def mesh_error(attrs: Mapping[Hashable, Any]) -> str:
     return f"{error:.2g} mN ({abs(error / force):.1%})" if force else f"{error:.2g} mN"
 
 
-_INPUTS = {
+#: Inputs in words.
+INPUTS = {
     "window_friction": "friction at the window",
     "sample_friction": "friction at the sample",
     "modulus": "stiffness of the layer",
     "thickness": "loaded thickness",
     "initial_thickness": "unloaded thickness",
+    "plate_friction": "friction at the plate",
+    "compression": "travel of the plate",
+    "sample_thickness": "thickness of the sample",
+    "total_force": "total force",
 }
 
 
@@ -105,7 +110,7 @@ def input_errors(attrs: Mapping[Hashable, Any]) -> str:
             size = f"{given[name]:.3g}{units.get(name, '')}"
             if name == "modulus":
                 size = f"{100 * given[name]:.3g} %"
-            said.append(f"{parts[name]:.2g} mN by {_INPUTS[name]} \N{PLUS-MINUS SIGN}{size}")
+            said.append(f"{parts[name]:.2g} mN by {INPUTS[name]} \N{PLUS-MINUS SIGN}{size}")
     share = f" ({abs(error / force):.1%})" if force else ""
     return f"\N{PLUS-MINUS SIGN}{error:.2g} mN{share} at 95 %" + (
         "; " + ", ".join(said) if said else ""
@@ -133,6 +138,13 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
             f"{low:.3g} ... {high:.3g} kPa, 95 % band +- {np.nanmedian(error):.0%} (median), known "
             f"on {np.isfinite(modulus).mean():.0%} of the map"
         )
+    if "sample_relief" in maps and maps["sample_relief"].notnull().any():
+        low, high = np.nanpercentile(maps["sample_relief"].values, [1, 99])
+        band = np.nanmedian(maps["sample_relief_error"].values)
+        lines.append(
+            f"relief of the sample, found: 98 % of it within {1e3 * low:+.2g} ... "
+            f"{1e3 * high:+.2g} um of its mean height, 95 % band +- {1e3 * band:.2g} um (median)"
+        )
     lines.append(
         f"thickness: computed and measured differ by {1e3 * attrs['thickness_misfit_mm']:.2g} um, "
         f"{attrs['misfit_over_tolerance']:.1f} times what noise "
@@ -140,6 +152,16 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
         f"{attrs['forward_solutions']} forward solutions"
     )
     return lines
+
+
+def of_series(series: xr.Dataset) -> str:
+    """Travel and force of each load of a series."""
+    return ", ".join(
+        f"{travel:.3g} mm {force:.1f} mN"
+        for travel, force in zip(
+            series["compression"].values, series["window_force"].values, strict=True
+        )
+    )
 
 
 def _submodel(attrs: Mapping[Hashable, Any]) -> list[str]:
@@ -223,6 +245,8 @@ def summarise(result: StressResult) -> str:
             lines.append(f"pulled by the sample: {pulled:.1%} of the map")
     if sides := edge_influence(maps.attrs):
         lines.append(f"sides of the layer: {sides}")
+    if result.series is not None:
+        lines.append("loads: " + of_series(result.series))
     if "sample_shear_modulus" in maps:
         lines += _of_sample(maps)
     elif unknown := of_unknown_sample(maps):

@@ -67,6 +67,15 @@ def result_columns(result: StressResult) -> dict[str, Any]:
         row[f"{method}mean_axial_stress_kPa"] = float(np.nanmean(stress))
         row[f"{method}first_percentile_axial_stress_kPa"] = float(np.nanpercentile(stress, 1))
         row[f"{method}most_compressed_axial_stress_kPa"] = float(np.nanmin(stress))
+    if "sample_youngs_modulus" in maps:
+        for name, column in (
+            ("sample_youngs_modulus", "median_sample_youngs_modulus_kPa"),
+            ("sample_modulus_error", "median_sample_modulus_error_fraction"),
+        ):
+            known = maps[name].values[np.isfinite(maps[name].values)]
+            row[column] = float(np.median(known)) if known.size else np.nan
+        for key in ("force_error_mN", "compression_mm"):
+            row[key] = float(about.get(key, np.nan))
     state = maps["contact_state"].values
     row["in_contact_fraction"] = float(np.mean(state != ContactState.OPEN))
     row["filled_fraction"] = float(about.get("filled_share", 0.0))

@@ -69,6 +69,8 @@ _TERMS = {
     "sample_youngs_modulus": Term("Young's modulus of the sample", "kPa", MODULUS, "modulus"),
     "sample_shear_modulus": Term("Shear modulus of the sample", "kPa", MODULUS, "shear_modulus"),
     "sample_modulus_error": Term("95 % band of the modulus, ±", "", ERROR, "modulus_error"),
+    "sample_relief": Term("Relief of the unloaded sample", "mm", DIFFERENCE, "relief"),
+    "sample_relief_error": Term("95 % band of the relief, ±", "mm", ERROR, "relief_error"),
     "sample_displacement_x": Term("Motion of the sample along x", "mm", DIFFERENCE, "motion"),
     "sample_displacement_y": Term("Motion of the sample along y", "mm", DIFFERENCE, "motion"),
     "thickness_misfit": Term("Computed less measured thickness", "mm", DIFFERENCE, "misfit"),

@@ -14,6 +14,7 @@ from optical_palpation.reproduce.material import material, phase
 from optical_palpation.reproduce.page import Chapter, Page, write_page
 from optical_palpation.reproduce.record import Setting, load_part, run_part
 from optical_palpation.reproduce.resolution import resolution
+from optical_palpation.reproduce.soft_samples import soft_samples
 from optical_palpation.reproduce.total_stress import total_stress
 from optical_palpation.reproduce.verification import VERIFICATION
 from optical_palpation.runtime import software_version
@@ -43,6 +44,7 @@ Units: mm, kPa, mN; stress negative where the layer is pressed, contact pressure
         "sinusoid": Chapter("Virtual experiment: five ridges", sinusoid),
         "columns": Chapter("Virtual experiment: a soft and a stiff column", columns),
         "cube": Chapter("Virtual experiment: a stiff cube", cube),
+        "soft-samples": Chapter("Soft samples of unknown motion", soft_samples),
         "resolution": Chapter("Lateral resolution", resolution),
         "coin": Chapter("A coin", coin),
         "independent-code": Chapter("An independent code", independent_code),

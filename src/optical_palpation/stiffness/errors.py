@@ -8,8 +8,8 @@ that of a path.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -18,68 +18,36 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.ndimage import gaussian_filter
 
-from optical_palpation.errors import InputError
 from optical_palpation.mechanics.path import LoadNotReached
 from optical_palpation.mechanics.stack.assembly import Blocks
 from optical_palpation.mechanics.stack.problem import INTERFACE
-from optical_palpation.stiffness.forward import Model, carried
-from optical_palpation.stiffness.inversion import Estimate
+from optical_palpation.palpation.input_errors import InputErrors
+from optical_palpation.stiffness.forward import Model, Pressed, carried
+from optical_palpation.stiffness.inversion import Estimate, Order
 from optical_palpation.stiffness.measurement import ThicknessSurface
 
 Array = NDArray[np.float64]
 
 #: Half the width of a 95 % band in standard deviations.
-BAND = 1.96
+_BAND = 1.96
 #: Nodes over which the error of the mesh is averaged.
 _NEAR = 2.0
 
 
-@dataclass(frozen=True)
-class InputErrors:
-    """Standard errors: coefficients of friction as they are, the rest as shares of the value."""
-
-    compression: float = 0.02
-    sample_thickness: float = 0.02
-    layer_modulus: float = 0.03
-    window_friction: float = 0.05
-    sample_friction: float = 0.05
-    plate_friction: float = 0.05
-    total_force: float = 0.02
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (np.isfinite(value) and 0 <= value < 1):
-                raise InputError(f"{name}: a standard error must lie in 0 ... 1, not {value!r}")
-
-
 @dataclass(frozen=True, eq=False)
-class Errors:
-    """Half the widths of 95 % bands.
+class Band:
+    """Half-widths of 95 % bands at one load.
 
-    Attributes
-    ----------
-    positions, stress
-        Points (n, 2), y before x, mm, and the band of the axial stress there, kPa.
-    stiffness
-        Of the logarithm of the stiffness of the columns, (y, x).
-    travel
-        Of the travel of the plate, mm, where it is sought.
-    force
-        Of the total force, mN.
-    force_of_mesh
-        Standard error of the total force by the mesh, mN.
-    inputs
-        For each input its standard error and how it changes force (mN) and mean stress (kPa);
-        None where the change could not be computed.
+    ``positions`` are points (n, 2), y before x, mm, and ``stress`` the band of the axial stress
+    there, kPa; ``force`` that of the total force, mN, ``force_of_mesh`` its standard error by the
+    mesh, mN; ``travel`` of the travel of the plate where that is sought, mm.
     """
 
     positions: Array
     stress: Array
-    stiffness: Array
-    travel: float | None
     force: float
     force_of_mesh: float
-    inputs: dict[str, dict[str, float | None]]
+    travel: float | None
 
     def stress_at(self, x: Array, y: Array) -> Array:
         """Band of the axial stress at points, kPa."""
@@ -89,89 +57,203 @@ class Errors:
         return np.where(np.isfinite(values), values, nearest)
 
 
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Half the widths of 95 % bands.
+
+    Attributes
+    ----------
+    loads
+        Of stress and force at each load.
+    stiffness
+        Of the logarithm of the stiffness of the columns, (y, x).
+    relief
+        Of the heights at the corners of the columns above their mean, (y, x), mm, where they are
+        sought.
+    inputs
+        For each input the half-width of its 95 % interval, and how an error of that size changes
+        force (mN) and mean stress (kPa) at the last load; None where the change could not be
+        computed.
+    """
+
+    loads: list[Band]
+    stiffness: Array
+    relief: Array | None
+    inputs: dict[str, dict[str, float | None]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Effect:
+    """What an error does: to all that is sought, and at each load to pressure, kPa, and force."""
+
+    sought: Array
+    pressure: Array
+    force: Array
+
+
+class _Propagation:
+    """What changes of the model, of the map or of the forces do to what follows from them."""
+
+    def __init__(self, estimate: Estimate, coarse: Model, rough: list[Pressed]) -> None:
+        self.estimate, self.coarse, self.rough = estimate, coarse, rough
+        self.of_pressure = np.stack([s.pressure for s in estimate.sensitivities])
+        self.of_force = np.stack([s.force for s in estimate.sensitivities])
+        self.pressure = np.stack([p.pressure.ravel() for p in rough])
+        self.force = np.array([p.force for p in rough])
+
+    def effect(
+        self, answer: Array, pressure: Array | float = 0.0, force: Array | float = 0.0
+    ) -> _Effect:
+        """Effect of an answer of what is sought, beside that of the model."""
+        return _Effect(answer, pressure + self.of_pressure @ answer, force + self.of_force @ answer)
+
+    def of_model(self, other: list[Pressed], measured: Sequence[ThicknessSurface]) -> _Effect:
+        """Effect of a change of the model that made the coarse solutions these ``other`` ones."""
+        fine = self.estimate.pressed[-1].layer
+        change = [
+            carried(new.misfit(m) - old.misfit(m), self.coarse.layer, fine).ravel()
+            for new, old, m in zip(other, self.rough, measured, strict=True)
+        ]
+        force = np.array([p.force for p in other]) - self.force
+        answer = -self.estimate.gain @ np.concatenate(change)
+        if self.estimate.order.travels:
+            answer -= self.estimate.gain_by_force @ force
+        pressure = np.stack([p.pressure.ravel() for p in other]) - self.pressure
+        return self.effect(answer, pressure, force)
+
+    def of_modulus(self, error: float) -> _Effect:
+        """Effect of a layer that is stiffer by a fraction."""
+        # Layer and sample stiffer by the same factor deform alike.
+        answer = np.zeros(self.estimate.order.size)
+        answer[self.estimate.order.of_stiffness] = error
+        if not self.estimate.order.travels:
+            return _Effect(answer, error * self.pressure, error * self.force)
+        # A layer that is stiffer is one on which the force is smaller, in units of its modulus.
+        effect = self.of_total_force(-error)
+        return _Effect(
+            answer + effect.sought,
+            error * self.pressure + effect.pressure,
+            error * self.force + effect.force,
+        )
+
+    def of_total_force(self, error: float) -> _Effect:
+        """Effect of total forces that are larger by a fraction."""
+        return self.effect(self.estimate.gain_by_force @ (error * self.force))
+
+    def of_thickness(self, error: float) -> _Effect:
+        """Effect of a loaded thickness that is measured too large everywhere."""
+        # The misfit is the computed thickness less the measured one.
+        return self.effect(error * self.estimate.gain.sum(1))
+
+
 def propagated(
     estimate: Estimate,
     coarse: Model,
-    measured: ThicknessSurface,
-    inputs: InputErrors,
+    measured: Sequence[ThicknessSurface],
+    inputs: InputErrors | None,
     report: Callable[[str, float], None],
 ) -> Errors:
     """Propagate noise, mesh and input errors to stress, stiffness and force.
 
     ``report`` is called with the stage and the share of the load.
     """
-    pressed, sensitivity = estimate.pressed, estimate.sensitivity
-    stiffness, travel = estimate.stiffness, estimate.travel
-    rough = coarse.pressed(stiffness, partial(_at_stage, report, "errors"), travel)
-    of_stress, of_force = sensitivity.pressure, sensitivity.force
-    on_columns = np.diag(estimate.covariance).copy()
-    on_stress = np.einsum("ij,jk,ik->i", of_stress, estimate.covariance, of_stress, optimize=True)
-    on_force = float(of_force @ estimate.covariance @ of_force)
-    # The coarse mesh is further from the truth than the fine one: in stress, and in thickness, to
-    # which the stiffness has answered.
-    nominal = rough.misfit(measured)
-    thickness = estimate.misfit - carried(nominal, coarse.layer, pressed.layer)
-    answer = -estimate.gain @ thickness.ravel() / estimate.refinement
-    differs = pressed.pressure - carried(rough.pressure, rough.slaves, pressed.slaves)
-    stress = (of_stress @ answer).reshape(rough.pressure.shape)
-    differs = differs / estimate.refinement + carried(stress, rough.slaves, pressed.slaves)
-    of_mesh = gaussian_filter(differs**2, _NEAR, mode="nearest")
-    by_mesh = (pressed.force - rough.force) / estimate.refinement + float(of_force @ answer)
-    on_columns += answer**2
-    on_force += by_mesh**2
+    sought, order = estimate.sought, estimate.order
+    rough = coarse.pressed(sought, partial(_at_stage, report, "errors"))
+    propagation = _Propagation(estimate, coarse, rough)
+    # squares of half-widths
+    covariance = _BAND**2 * estimate.covariance
+    on_sought = np.diag(_centred(_centred(covariance, order).T, order)).copy()
+    on_pressure = np.stack([np.sum((s @ covariance) * s, axis=1) for s in propagation.of_pressure])
+    on_force = np.stack([s @ covariance @ s for s in propagation.of_force])
+    effect, of_mesh = _of_mesh(propagation, measured)
+    on_sought += (_BAND * _centred(effect.sought, order)) ** 2
+    on_force += (_BAND * effect.force) ** 2
 
     known: dict[str, dict[str, float | None]] = {}
-    of_travel = len(on_columns) > stiffness.size  # it is sought, and the force given instead
-    for name, error in vars(inputs).items():
-        if error == 0 or name == ("compression" if of_travel else "total_force"):
+    of_other = "compression" if order.travels else "total_force"
+    for name, error in ({} if inputs is None else asdict(inputs)).items():
+        if error == 0 or name == of_other:
             continue
-        if name == "layer_modulus" and not of_travel:
-            # Layer and sample stiffer by the same factor deform alike.
-            answer = np.full(on_columns.shape, error)
-            stress, force = error * rough.pressure.ravel(), error * rough.force
-        elif name in ("total_force", "layer_modulus"):
-            # A layer that is stiffer is one on which the force is smaller, in units of its modulus.
-            sign = 1.0 if name == "total_force" else -1.0
-            answer = sign * error * rough.force * estimate.gain_by_force
-            stress, force = of_stress @ answer, float(of_force @ answer)
-            if name == "layer_modulus":
-                answer[: stiffness.size] += error
-                stress, force = stress + error * rough.pressure.ravel(), force + error * rough.force
+        if name in ("modulus", "total_force", "thickness"):
+            of_input = getattr(propagation, f"of_{name}")(error)
         else:
-            stage = f"error of the {name.replace('_', ' ')}"
+            stage = partial(_at_stage, report, f"error of the {name.replace('_', ' ')}")
             changed = _changed(coarse.blocks, name, error)
-            moved = (1 + error) * travel if name == "compression" else travel
+            moved = sought
+            if name == "compression":
+                travels = tuple((1 + error) * travel for travel in sought.travels)
+                moved = replace(sought, travels=travels)
             try:
-                other = coarse.changed(**changed).pressed(
-                    stiffness, partial(_at_stage, report, stage), moved
-                )
+                other = coarse.changed(**changed).pressed(moved, stage)
             except LoadNotReached:
-                known[name] = {"standard_error": error, "force_mN": None, "mean_stress_kPa": None}
+                known[name] = {"half_width": error, "force_mN": None, "mean_stress_kPa": None}
                 continue
-            change = carried(other.misfit(measured) - nominal, coarse.layer, pressed.layer)
-            answer = -estimate.gain @ change.ravel()
-            answer -= estimate.gain_by_force * (other.force - rough.force)
-            stress = (other.pressure - rough.pressure).ravel() + of_stress @ answer
-            force = other.force - rough.force + float(of_force @ answer)
-        on_columns += answer**2
-        on_stress += stress**2
-        on_force += force**2
+            of_input = propagation.of_model(other, measured)
+        on_sought += _centred(of_input.sought, order) ** 2
+        on_pressure += of_input.pressure**2
+        on_force += of_input.force**2
         known[name] = {
-            "standard_error": error,
-            "force_mN": force,
-            "mean_stress_kPa": -float(stress.mean()),
+            "half_width": error,
+            "force_mN": float(of_input.force[-1]),
+            "mean_stress_kPa": -float(of_input.pressure[-1].mean()),
         }
-    variance = carried(on_stress.reshape(rough.pressure.shape), rough.slaves, pressed.slaves)
-    nodes = pressed.stack.contacts[INTERFACE].slaves.ravel()
+    relief = on_sought[order.of_relief].reshape(order.columns.corners) if order.relief else None
+    of_travels = np.sqrt(on_sought[order.of_travels])
+    loads = []
+    for n, (pressed, own) in enumerate(zip(estimate.pressed, rough, strict=True)):
+        variance = carried(on_pressure[n].reshape(own.pressure.shape), own.slaves, pressed.slaves)
+        nodes = pressed.stack.contacts[INTERFACE].slaves.ravel()
+        loads.append(
+            Band(
+                positions=pressed.stack.position(pressed.state.u)[nodes][:, [1, 0]],
+                stress=np.sqrt(variance + of_mesh[n]).ravel(),
+                force=float(np.sqrt(on_force[n])),
+                force_of_mesh=float(abs(effect.force[n])),
+                travel=float(of_travels[n]) if order.travels else None,
+            )
+        )
     return Errors(
-        positions=pressed.stack.position(pressed.state.u)[nodes][:, [1, 0]],
-        stress=BAND * np.sqrt(variance + of_mesh).ravel(),
-        stiffness=BAND * np.sqrt(on_columns[: stiffness.size]).reshape(stiffness.shape),
-        travel=BAND * float(np.sqrt(on_columns[-1])) if of_travel else None,
-        force=BAND * float(np.sqrt(on_force)),
-        force_of_mesh=abs(by_mesh),
+        loads=loads,
+        stiffness=np.sqrt(on_sought[order.of_stiffness]).reshape(order.columns.shape),
+        relief=None if relief is None else np.sqrt(relief),
         inputs=known,
     )
+
+
+def _centred(sought: Array, order: Order) -> Array:
+    """Heights above their mean in place of heights; along the first axis."""
+    out = sought.copy()
+    if order.relief:
+        out[order.of_relief] -= out[order.of_relief].mean(0)
+    return out
+
+
+def _of_mesh(
+    propagation: _Propagation, measured: Sequence[ThicknessSurface]
+) -> tuple[_Effect, list[Array]]:
+    """Effect of the error of the fine mesh, and squares of half-widths of the stress by it.
+
+    The coarse mesh is further from the truth than the fine one: in stress, and in thickness, to
+    which the stiffness has answered.
+    """
+    estimate, rough = propagation.estimate, propagation.rough
+    thickness, pressure = [], []
+    for pressed, own, misfit, m in zip(
+        estimate.pressed, rough, estimate.misfit, measured, strict=True
+    ):
+        thickness.append(misfit - carried(own.misfit(m), own.layer, pressed.layer))
+        pressure.append(pressed.pressure - carried(own.pressure, own.slaves, pressed.slaves))
+    answer = -estimate.gain @ np.ravel(thickness) / estimate.refinement
+    force = np.array([p.force for p in estimate.pressed]) - propagation.force
+    effect = propagation.effect(answer, 0.0, force / estimate.refinement)
+    squares = []
+    for pressed, own, change, by_answer in zip(
+        estimate.pressed, rough, pressure, effect.pressure, strict=True
+    ):
+        answered = carried(by_answer.reshape(own.pressure.shape), own.slaves, pressed.slaves)
+        whole = change / estimate.refinement + answered
+        squares.append(_BAND**2 * gaussian_filter(whole**2, _NEAR, mode="nearest"))
+    return effect, squares
 
 
 def _at_stage(
@@ -181,9 +263,11 @@ def _at_stage(
 
 
 def _changed(blocks: Blocks, name: str, error: float) -> dict[str, Any]:
-    """The input of the blocks that is off by its standard error; the travel is none of these."""
+    """The input of the blocks that is off by its error; the travel is none of these."""
     if name == "compression":
         return {}
+    if name == "initial_thickness":
+        return {"thickness": lambda x, y: blocks.thickness(x, y) + error}
     if name == "sample_thickness":
         return {name: (1 + error) * blocks.sample_thickness}
     place = ("window_friction", "sample_friction", "plate_friction").index(name)

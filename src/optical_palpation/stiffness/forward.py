@@ -7,15 +7,18 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
+from scipy.interpolate import RegularGridInterpolator, make_interp_spline
 
 from optical_palpation.mechanics.grid import LayerGrid
+from optical_palpation.mechanics.path import LoadNotReached
 from optical_palpation.mechanics.stack.assembly import Blocks, Mesh, assemble
 from optical_palpation.mechanics.stack.cascade import solve
 from optical_palpation.mechanics.stack.problem import INTERFACE, LAYER, SAMPLE, WINDOW, Stack, State
-from optical_palpation.mechanics.stack.tangent import Tangent, stiffness_forces
+from optical_palpation.mechanics.stack.tangent import Tangent, shape_forces, stiffness_forces
 from optical_palpation.stiffness.measurement import ThicknessSurface
+from optical_palpation.thickness.frames import smooth_map
 
 Array = NDArray[np.float64]
 
@@ -46,12 +49,46 @@ class Columns:
         """Matrices by which values of the columns are averaged between other borders."""
         return _overlaps(self.y, y), _overlaps(self.x, x)
 
+    @property
+    def corners(self) -> tuple[int, int]:
+        """Numbers of corners of columns (y, x)."""
+        return len(self.y), len(self.x)
+
+    def between(self, y: Array, x: Array) -> tuple[Array, Array]:
+        """Matrices that bring heights at the corners to nodes, as ``surface`` does."""
+        return _spline(self.y, y), _spline(self.x, x)
+
+    def surface(self, heights: Array) -> Callable[[Array, Array], Array]:
+        """Heights at the corners (y, x) as a function of x and y: a cubic spline, level outside."""
+        return smooth_map(xr.DataArray(heights, {"y": self.y, "x": self.x}, ("y", "x")))
+
     def at(self, values: Array, x: Array, y: Array) -> Array:
         """Values of the columns (y, x) at points, linearly between the middles of columns."""
         middles = self.middles
         points = [np.clip(p, m[0], m[-1]) for p, m in zip((y, x), middles, strict=True)]
         at = RegularGridInterpolator(middles, values)
         return np.asarray(at(np.stack(points, axis=-1)), dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class Sought:
+    """What is sought of a sample, or taken for it.
+
+    Attributes
+    ----------
+    stiffness
+        Logarithms of the stiffness factors of the columns, (y, x).
+    travels
+        Of the plate at each load, mm, ascending.
+    relief
+        Height of the unloaded surface at the corners of the columns, mm, (y, x), towards the layer.
+        At 0 it touches a layer of even thickness when the travel is 0, above it does so before.
+        None where the relief is known.
+    """
+
+    stiffness: Array
+    travels: tuple[float, ...]
+    relief: Array | None = None
 
 
 def carried(values: Array, of: LayerGrid, to: LayerGrid) -> Array:
@@ -69,6 +106,12 @@ def _linear(nodes: Array, points: Array) -> Array:
     return np.stack(columns, axis=1).astype(float)
 
 
+def _spline(nodes: Array, points: Array) -> Array:
+    """Matrix (points, nodes) of the interpolating cubic spline, level beyond its ends."""
+    inside = np.clip(points, nodes[0], nodes[-1])
+    return np.asarray(make_interp_spline(nodes, np.eye(len(nodes)))(inside), dtype=float)
+
+
 def _overlaps(borders: Array, others: Array) -> Array:
     """Shares (others, borders) in which intervals consist of other intervals."""
     upper = np.minimum(borders[1:], others[1:, None])
@@ -78,6 +121,9 @@ def _overlaps(borders: Array, others: Array) -> Array:
 
 class Model:
     """Layer and sample on one mesh, solved from coarse to fine.
+
+    A relief that is sought comes in place of that of ``blocks``; the thickness of the sample is
+    then the mean one.
 
     Parameters
     ----------
@@ -103,6 +149,27 @@ class Model:
             for level in self.levels
         ]
 
+    def derivatives(self, relief: bool, travels: int, load: int) -> Array:
+        """Matrix that brings what is sought to the parameters of ``Pressed.sensitivity``.
+
+        Sought are the stiffness of the columns, the heights at their corners if there is a
+        ``relief`` to be found, and as many ``travels``, of which this ``load`` has one.
+        """
+        sample = self.levels[-1].bodies[SAMPLE].grid
+        nodes = np.kron(*self.columns.between(sample.y, sample.x)) if relief else np.zeros((0, 0))
+        of_elements, columns = self.means.shape
+        rows, heights = of_elements + nodes.shape[0], nodes.shape[1]
+        out = np.zeros((rows + relief + 1, columns + heights + travels))
+        out[:of_elements, :columns] = self.means
+        if relief:
+            # The mean thickness is known: with the mean height the plate moves, and with it the
+            # lower face of the unloaded sample.
+            out[of_elements:rows, columns : columns + heights] = nodes
+            out[rows:, columns : columns + heights] = 1 / heights
+        if travels:
+            out[-1, columns + heights + load] = 1.0
+        return out
+
     @property
     def means(self) -> Array:
         """Matrix (columns of elements, columns) by which stiffness comes to the finest mesh."""
@@ -118,24 +185,49 @@ class Model:
         return Model(replace(self.blocks, **inputs), self.mesh, self.columns)
 
     def pressed(
-        self,
-        stiffness: Array,
-        report: Callable[[Stack, float, object], None] | None = None,
-        travel: float | None = None,
-    ) -> Pressed:
-        """Press a sample of the logarithmic ``stiffness`` factors (y, x) of its columns.
-
-        ``travel`` of the plate, mm, by default that of the blocks.
+        self, sought: Sought, report: Callable[[Stack, float, object], None] | None = None
+    ) -> list[Pressed]:
+        """Press a sample to one travel of the plate after the other, on one load path.
 
         Raises
         ------
         LoadNotReached
+            Also where a sample of such a relief would not be touched.
         """
-        levels = [
-            _of_stiffness(level, by_y @ stiffness @ by_x.T, travel or self.blocks.travel)
-            for level, (by_y, by_x) in zip(self.levels, self._means, strict=True)
+        levels, met = self.levels, [0.0] * len(self.levels)
+        if sought.relief is not None:
+            mean = float(sought.relief.mean())
+            surface = self.columns.surface(sought.relief - mean)
+            levels = self.changed(relief=surface, travel=sought.travels[-1]).levels
+            met = [
+                mean + level.plate - flat.plate
+                for level, flat in zip(levels, self.levels, strict=True)
+            ]
+        if sought.travels[0] + min(met) <= 0:
+            raise LoadNotReached(0.0, "the sample would not touch the layer")
+        if not (np.diff(sought.travels) > 0).all():
+            raise LoadNotReached(0.0, "the plate would have to go back between two loads")
+        of_sample = [
+            _of_stiffness(level, by_y @ sought.stiffness @ by_x.T, sought.travels[-1] + before)
+            for level, (by_y, by_x), before in zip(levels, self._means, met, strict=True)
         ]
-        return Pressed(levels[-1], solve(levels, report).state)
+        full = sought.travels[-1] + met[-1]
+        stops = [*((travel + met[-1]) / full for travel in sought.travels[:-1]), 1.0]
+        stack = of_sample[-1]
+        return [Pressed(stack, state) for state in solve(of_sample, report, stops).stops]
+
+
+def _on_nodes(forces: Array, number: NDArray[np.intp]) -> Array:
+    """Forces (y, x, 3, nz + 1, b, a) of columns on those of ``number`` from (y, x) on: a matrix."""
+    ny, nx, _, depth, around, _ = forces.shape
+    out = np.zeros((3 * (int(number.max()) + 1), ny * nx))
+    for b in range(around):
+        for a in range(around):
+            nodes = number[:, b : ny + b, a : nx + a].reshape(depth, ny * nx)
+            for c in range(3):
+                own = forces[:, :, c, :, b, a].reshape(ny * nx, depth).T
+                np.add.at(out, (3 * nodes + c, np.arange(ny * nx)), own)
+    return out
 
 
 def _of_stiffness(stack: Stack, logarithm: Array, travel: float) -> Stack:
@@ -147,7 +239,7 @@ def _of_stiffness(stack: Stack, logarithm: Array, travel: float) -> Stack:
 
 @dataclass(frozen=True, eq=False)
 class Pressed:
-    """Layer and sample in equilibrium under the full travel."""
+    """Layer and sample in equilibrium at one travel of the plate."""
 
     stack: Stack
     state: State
@@ -191,21 +283,23 @@ class Pressed:
         window = RegularGridInterpolator((grid.y, grid.x), position[2, 0])(at)
         return (z - window - measured(x, y)).reshape(position.shape[2:])
 
-    def sensitivity(self, measured: ThicknessSurface) -> Sensitivity:
-        """Return what changes with the stiffness of the columns of elements and the travel."""
-        stack, (ny, nx) = self.stack, self.stack.bodies[SAMPLE].grid.shape[1:]
-        sample, first = stack.bodies[SAMPLE], stack.bodies[LAYER].n_nodes
+    def sensitivity(self, measured: ThicknessSurface, relief: bool = False) -> Sensitivity:
+        """Return what changes with stiffness and travel, and with the ``relief`` if asked for."""
+        stack = self.stack
+        first = stack.bodies[LAYER].n_nodes
         tangent = Tangent(stack, self.state)
-        forces = stiffness_forces(sample, stack.split(self.state.u)[SAMPLE], self.state.p[SAMPLE])
-        number = first + np.arange(sample.n_nodes).reshape(sample.grid.node_shape)
-        rhs = np.zeros((3 * stack.n_nodes, ny * nx + 1))
+        sample = stack.bodies[SAMPLE]
+        u, p = stack.split(self.state.u)[SAMPLE], self.state.p[SAMPLE]
+        number = np.arange(sample.n_nodes).reshape(sample.grid.node_shape)
+        of_sample = [_on_nodes(stiffness_forces(sample, u, p), number)]
+        if relief:
+            by_height, shorter = shape_forces(sample, u, p)
+            of_sample.append(_on_nodes(by_height, np.pad(number, ((0, 0), (1, 1), (1, 1)))))
+            of_sample.append(shorter.reshape(3, -1).T.reshape(-1, 1))
+        count = sum(part.shape[1] for part in of_sample)
+        rhs = np.zeros((3 * stack.n_nodes, count + 1))
+        rhs[3 * first :, :-1] = -np.concatenate(of_sample, axis=1)
         rhs[:, -1] = -tangent.by_travel()
-        for b in range(2):
-            for a in range(2):
-                nodes = number[:, b : ny + b, a : nx + a].reshape(-1, ny * nx)
-                for c in range(3):
-                    own = forces[:, :, c, :, b, a].reshape(ny * nx, -1).T
-                    rhs[3 * nodes + c, np.arange(ny * nx)] = -own
         moved = tangent.displacement(rhs)
         x, y, _ = self.surface.reshape(3, -1)
         top = np.arange(first).reshape(stack.bodies[LAYER].grid.node_shape)[-1].ravel()
@@ -222,11 +316,13 @@ class Pressed:
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Derivatives by the logarithms of the stiffness of the columns of elements and the travel.
+    """Derivatives of what a pressed stack shows.
 
-    They are on the last axis, the travel, mm, at its end.
-    ``thickness`` of ``Pressed.misfit``, mm, ``pressure`` of the slaves, kPa, and ``force`` on the
-    window, mN. Friction is taken from the slip since the last load step.
+    They are those of the ``thickness`` (``Pressed.misfit``), mm, of the ``pressure`` of the slaves,
+    kPa, and of the ``force`` on the window, mN. The last axis has the parameters: the logarithms of
+    the stiffness of the columns of elements; where the relief is sought, the height of the sample's
+    unloaded surface at its nodes and by how much nearer its lower face is, mm; the travel of the
+    plate, mm. Friction is taken from the slip since the last load step.
     """
 
     thickness: Array

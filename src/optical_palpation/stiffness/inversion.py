@@ -1,24 +1,26 @@
 """Stiffness of the sample's columns from the loaded thickness: regularised Gauss-Newton.
 
-Sought are the logarithms m of the stiffness of the columns. With r the computed less the measured
-thickness, J its derivative and D the differences between neighbouring columns, a step d minimises
+Sought are the logarithms m of the stiffness of the columns and, from several loads, the heights h
+of the unloaded surface at their corners. With r the computed less the measured thickness at all
+loads, J its derivative and D the differences between neighbours, a step d minimises
 
-    |W (r + J d)|^2 + alpha |D (m + d)|^2,
+    |W (r + J d)|^2 + alpha |D ((m, h) + d)|^2,
 
 W the inverse of what r may be off by: the noise of the measured thickness and the error of the
 mesh. Alpha is the largest for which what is then left, if the model were linear, is as large as
-these (Morozov's discrepancy principle). J is that of a coarse mesh, r that of the finest.
+these (Morozov's discrepancy principle); of m and h it is in units of what J makes of them. J is
+that of a coarse mesh, r that of the finest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.ndimage import gaussian_filter
 
 from optical_palpation.mechanics.path import LoadNotReached
@@ -27,6 +29,7 @@ from optical_palpation.stiffness.forward import (
     Model,
     Pressed,
     Sensitivity,
+    Sought,
     carried,
     carrying,
 )
@@ -40,11 +43,14 @@ _COARSE_STEPS, _FINE_STEPS = 3, 4
 _COARSE_ERROR = 0.02
 #: Largest change of a logarithm in a step.
 _LARGEST = 1.0
+#: Largest change of a height in a step, in thicknesses of the layer.
+_HIGHEST = 0.2
 #: Largest change of the travel in a step, as a share of it.
 _FARTHEST = 0.2
 #: Tolerance of a given total force.
 _FORCE = 0.01
-#: A step counts as none if stiffness changes by less than this (root mean square).
+#: A step counts as none if stiffness, and heights in thicknesses of the layer, change by less than
+#: this (root mean square).
 _STILL = 0.01
 #: Slope of the logarithm over one thickness of the layer from which stiffness has an edge.
 _STEEP = 0.8
@@ -57,28 +63,80 @@ _NEAR_LEAST = 1.1
 
 
 @dataclass(frozen=True, eq=False)
+class Order:
+    """How what is sought is written in one row: stiffness, relief, travels.
+
+    ``relief`` and ``travels`` say whether these are sought; ``given`` are the travels, mm, to begin
+    with or as they are known.
+    """
+
+    columns: Columns
+    relief: bool
+    travels: bool
+    given: tuple[float, ...]
+
+    @property
+    def of_stiffness(self) -> slice:
+        """Where the stiffness of the columns is."""
+        return slice(0, self.columns.shape[0] * self.columns.shape[1])
+
+    @property
+    def of_relief(self) -> slice:
+        """Where the heights are."""
+        first = self.of_stiffness.stop
+        return slice(first, first + self.relief * self.columns.corners[0] * self.columns.corners[1])
+
+    @property
+    def of_travels(self) -> slice:
+        """Where the travels are."""
+        first = self.of_relief.stop
+        return slice(first, first + self.travels * len(self.given))
+
+    @property
+    def size(self) -> int:
+        """How much is sought."""
+        return self.of_travels.stop
+
+    def row(self, sought: Sought) -> Array:
+        """Write what is sought in a row."""
+        parts = [sought.stiffness.ravel()]
+        if self.relief:
+            assert sought.relief is not None
+            parts.append(sought.relief.ravel())
+        if self.travels:
+            parts.append(np.array(sought.travels))
+        return np.concatenate(parts)
+
+    def read(self, row: Array) -> Sought:
+        """Read it back."""
+        relief = row[self.of_relief].reshape(self.columns.corners) if self.relief else None
+        travels = tuple(row[self.of_travels].tolist()) if self.travels else self.given
+        return Sought(row[self.of_stiffness].reshape(self.columns.shape), travels, relief)
+
+
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """What the thickness says of the sample.
 
-    What is sought are the stiffness of the columns and, where the total force is given instead of
-    it, the travel of the plate.
+    What is sought are the stiffness of the columns, the relief where it is unknown, and where total
+    forces are given instead of them the travels of the plate.
 
     Attributes
     ----------
-    stiffness
-        Logarithms of the stiffness factors of the columns, (y, x).
-    travel
-        Of the plate, mm.
+    sought, order
+        What was found, and how it is written in a row.
     pressed
-        Layer and sample of that stiffness on the finest mesh.
+        Layer and sample of that kind on the finest mesh, at each load.
     misfit, tolerance
-        Computed less measured thickness at the layer's nodes, and what it may be off by, mm.
+        Computed less measured thickness at the layer's nodes at each load, and what it may be off
+        by, (loads, ny + 1, nx + 1), mm.
     gain, gain_by_force
-        How what is sought answers to the thickness, (sought, nodes), and to the force, (sought).
+        How what is sought answers to the thickness, (sought, loads x nodes), and to the total
+        forces, (sought, loads).
     covariance
         Of what is sought, by noise and mesh error, (sought, sought).
-    sensitivity
-        On the coarse mesh, by what is sought.
+    sensitivities
+        At each load, on the coarse mesh, by what is sought.
     refinement
         By this share of their difference the fine mesh is nearer to the truth than the coarse one.
     alpha
@@ -87,15 +145,15 @@ class Estimate:
         Forward solutions: number of elements and misfit over tolerance (root mean square) of each.
     """
 
-    stiffness: Array
-    travel: float
-    pressed: Pressed
+    sought: Sought
+    order: Order
+    pressed: list[Pressed]
     misfit: Array
     tolerance: Array
     gain: Array
     gain_by_force: Array
     covariance: Array
-    sensitivity: Sensitivity
+    sensitivities: list[Sensitivity]
     refinement: float
     alpha: float
     solutions: list[tuple[int, float]]
@@ -104,11 +162,10 @@ class Estimate:
 def invert(
     fine: Model,
     coarse: Model,
-    measured: ThicknessSurface,
-    start: Array,
+    measured: Sequence[ThicknessSurface],
+    start: Sought,
     *,
-    noise: float,
-    total_force: float | None = None,
+    total_forces: Sequence[float] | None = None,
     smoothing: float | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Estimate:
@@ -119,13 +176,11 @@ def invert(
     fine, coarse
         The model on two meshes of the same columns.
     measured
-        The loaded thickness.
+        The loaded thickness at each load.
     start
-        Logarithms of stiffness factors to begin with, (y, x).
-    noise
-        Standard deviation of the measured surface at a node, mm.
-    total_force
-        On the window, mN. If it is given the travel of the plate is sought too.
+        What to begin with; its relief is sought if it has one.
+    total_forces
+        On the window at each load, mN. If they are given the travels are sought too.
     smoothing
         Alpha; by default that of the discrepancy principle.
     progress
@@ -136,26 +191,24 @@ def invert(
     LoadNotReached
         If even the start cannot be pressed.
     """
-    search = _Search(fine, coarse, measured, noise, total_force, smoothing, progress)
-    sought = start.ravel()
-    if total_force is not None:
-        sought = np.append(sought, coarse.blocks.travel)
-    return search.on_fine_mesh(search.on_coarse_mesh(sought))
+    search = _Search(fine, coarse, measured, start, total_forces, smoothing, progress)
+    return search.on_fine_mesh(search.on_coarse_mesh(search.order.row(start)))
 
 
 @dataclass(frozen=True, eq=False)
 class _System:
     """A linearised problem of least squares.
 
-    ``jacobian`` (nodes, sought) of the misfit, ``weight`` of the nodes; ``by_force`` is the
-    derivative of the total force and ``off`` what that is off by, both over its tolerance.
+    ``jacobian`` (loads x nodes, sought) of the misfit, ``weight`` of the nodes; ``by_force``
+    (loads, sought) are the derivatives of the total forces and ``off`` what these are off by, both
+    over their tolerance; no loads where travels are given.
     """
 
     jacobian: Array
     misfit: Array
     weight: Array
     by_force: Array
-    off: float
+    off: Array
 
 
 class _Search:
@@ -165,115 +218,108 @@ class _Search:
         self,
         fine: Model,
         coarse: Model,
-        measured: ThicknessSurface,
-        noise: float,
-        total_force: float | None,
+        measured: Sequence[ThicknessSurface],
+        start: Sought,
+        total_forces: Sequence[float] | None,
         smoothing: float | None,
         progress: Callable[[str, float], None] | None,
     ) -> None:
         self.fine, self.coarse, self.measured = fine, coarse, measured
-        self.noise, self.force = noise, total_force
         self.smoothing, self.progress = smoothing, progress
+        self.forces = np.array(total_forces or [])
+        relief, unknown = start.relief is not None, total_forces is not None
+        self.order = Order(fine.columns, relief, unknown, start.travels)
+        #: Standard deviation of each measured surface at a node.
+        self.noise = np.array([m.noise / np.sqrt(m.pixels) for m in measured])[:, None, None]
         self.solutions: list[tuple[int, float]] = []
-        #: Brings what is sought to the columns of elements of the coarse mesh and the travel.
-        unknown = int(total_force is not None)
-        self.expand = np.zeros((coarse.means.shape[0] + 1, coarse.means.shape[1] + unknown))
-        self.expand[:-1, : coarse.means.shape[1]] = coarse.means
-        self.expand[-1, -1] = unknown
+        travels = unknown * len(measured)
+        #: Brings what is sought to the parameters of the coarse mesh at each load.
+        self.expand = [coarse.derivatives(relief, travels, n) for n in range(len(measured))]
         #: Brings values at the layer's nodes from the coarse mesh to the fine one.
         self.carry = carrying(coarse.layer, fine.layer)
         #: The fine mesh is off by the difference of the two over this.
         self.refinement = (coarse.layer.spacing[2] / fine.layer.spacing[2]) ** 2 - 1
         self.thickness = float(np.median(fine.layer.thickness))
 
-    def split(self, sought: Array) -> tuple[Array, float]:
-        """Return stiffness (y, x) and travel."""
-        columns = self.fine.columns
-        count = columns.shape[0] * columns.shape[1]
-        travel = self.fine.blocks.travel if self.force is None else float(sought[-1])
-        return sought[:count].reshape(columns.shape), travel
-
-    def on_coarse_mesh(self, sought: Array) -> Array:
+    def on_coarse_mesh(self, row: Array) -> Array:
         """Steps on the coarse mesh, down to about the errors of that."""
         before = step = None
         for n in range(_COARSE_STEPS):
-            pressed, sought = self._pressed(self.coarse, before, step, sought)
-            misfit = pressed.misfit(self.measured)
-            indentation = self.coarse.layer.thickness - pressed.surface[2]
-            error = _COARSE_ERROR * float(np.sqrt(np.mean(indentation**2)))
-            tolerance = np.full(misfit.shape, np.hypot(self.noise, error))
+            pressed, row = self._pressed(self.coarse, before, step, row)
+            misfit = self._misfit(pressed)
+            indentation = np.stack([self.coarse.layer.thickness - p.surface[2] for p in pressed])
+            error = _COARSE_ERROR * np.sqrt(np.mean(indentation**2, axis=(1, 2), keepdims=True))
+            tolerance = np.hypot(self.noise, error) * np.ones(misfit.shape)
             weight = self._weight(pressed, tolerance)
             left = _rms(weight * misfit)
-            self.solutions.append((pressed.stack.n_elements, left))
+            self.solutions.append((pressed[-1].stack.n_elements, left))
             if n > 0 and left <= 1.0:
                 break
-            sensitivity = pressed.sensitivity(self.measured).of(self.expand)
-            system = self._system(sensitivity.thickness, sensitivity, misfit, weight, pressed)
-            step, _, _ = self._step(system, sought)
-            before, sought = sought, sought + step
-        return sought
+            sensitivities = self._sensitivities(pressed)
+            jacobian = np.concatenate([s.thickness for s in sensitivities])
+            system = self._system(jacobian, sensitivities, misfit, weight, pressed)
+            step, _, _ = self._step(system, row)
+            before, row = row, row + step
+        return row
 
-    def on_fine_mesh(self, sought: Array) -> Estimate:
+    def on_fine_mesh(self, row: Array) -> Estimate:
         """Steps for the misfit of the fine mesh, with the sensitivity of the coarse one.
 
         The coarse mesh is solved once more at the start: after that the stiffness changes too
         little to change the sensitivity, or the error of the mesh.
         """
         before = step = None
-        best: tuple[float, Array, Pressed, Array] | None = None
-        stiffness, travel = self.split(sought)
-        rough = self.coarse.pressed(stiffness, travel=travel)
-        self.solutions.append((rough.stack.n_elements, np.nan))
-        sensitivity = rough.sensitivity(self.measured).of(self.expand)
-        jacobian = self.carry @ sensitivity.thickness
+        best: tuple[float, Array, list[Pressed], Array] | None = None
+        rough = self.coarse.pressed(self.order.read(row))
+        self.solutions.append((rough[-1].stack.n_elements, np.nan))
+        sensitivities = self._sensitivities(rough)
+        jacobian = np.concatenate([self.carry @ s.thickness for s in sensitivities])
         tolerance: Array | None = None
         for _ in range(_FINE_STEPS + 1):
-            pressed, sought = self._pressed(self.fine, before, step, sought)
-            misfit = pressed.misfit(self.measured)
+            pressed, row = self._pressed(self.fine, before, step, row)
+            misfit = self._misfit(pressed)
             if tolerance is None:
-                tolerance = self._tolerance(misfit, rough.misfit(self.measured))
+                tolerance = self._tolerance(misfit, self._misfit(rough))
             weight = self._weight(pressed, tolerance)
             left = _rms(weight * misfit)
-            self.solutions.append((pressed.stack.n_elements, left))
+            self.solutions.append((pressed[-1].stack.n_elements, left))
             if best is not None and left > _NO_GAIN * best[0]:
                 break
-            best = left, sought, pressed, misfit
-            system = self._system(jacobian, sensitivity, misfit, weight, pressed)
-            if left <= 1.0 and abs(system.off) <= 1.0:
+            best = left, row, pressed, misfit
+            system = self._system(jacobian, sensitivities, misfit, weight, pressed)
+            if left <= 1.0 and (np.abs(system.off) <= 1.0).all():
                 break
-            step, _, _ = self._step(system, sought)
-            if _rms(step) < _STILL:
+            step, _, _ = self._step(system, row)
+            change = step[: self.order.of_travels.start].copy()
+            change[self.order.of_relief] /= self.thickness
+            if _rms(change) < _STILL:
                 break
-            before, sought = sought, sought + step
+            before, row = row, row + step
         assert best is not None
         assert tolerance is not None
-        _, sought, pressed, misfit = best
+        _, row, pressed, misfit = best
         weight = self._weight(pressed, tolerance)
-        system = self._system(jacobian, sensitivity, misfit, weight, pressed)
-        _, alpha, normal = self._step(system, sought)
+        system = self._system(jacobian, sensitivities, misfit, weight, pressed)
+        _, alpha, normal = self._step(system, row)
         covariance = np.asarray(np.linalg.inv(normal), dtype=float)
-        stiffness, travel = self.split(sought)
-        by_force = np.zeros(len(sought))
-        if self.force is not None:
-            by_force = covariance @ system.by_force / (_FORCE * self.force)
         return Estimate(
-            stiffness=stiffness,
-            travel=travel,
+            sought=self.order.read(row),
+            order=self.order,
             pressed=pressed,
             misfit=misfit,
             tolerance=tolerance,
             gain=covariance @ (jacobian * weight.reshape(-1, 1) ** 2).T,
-            gain_by_force=by_force,
+            gain_by_force=covariance @ system.by_force.T / (_FORCE * self.forces),
             covariance=covariance,
-            sensitivity=sensitivity,
+            sensitivities=sensitivities,
             refinement=self.refinement,
             alpha=alpha,
             solutions=self.solutions,
         )
 
     def _pressed(
-        self, model: Model, before: Array | None, step: Array | None, sought: Array
-    ) -> tuple[Pressed, Array]:
+        self, model: Model, before: Array | None, step: Array | None, row: Array
+    ) -> tuple[list[Pressed], Array]:
         """Press, or where that fails, press after half of the last step."""
         elements = model.levels[-1].n_elements
 
@@ -283,59 +329,80 @@ class _Search:
                 self.progress(f"solution {count}, {elements:,} elements", load)
 
         for attempt in range(4):
-            stiffness, travel = self.split(sought)
             try:
-                return model.pressed(stiffness, report, travel), sought
+                return model.pressed(self.order.read(row), report), row
             except LoadNotReached:
                 if before is None or step is None or attempt == 3:
                     raise
                 step = 0.5 * step
-                sought = before + step
+                row = before + step
         raise AssertionError
+
+    def _misfit(self, pressed: list[Pressed]) -> Array:
+        return np.stack([p.misfit(m) for p, m in zip(pressed, self.measured, strict=True)])
+
+    def _sensitivities(self, pressed: list[Pressed]) -> list[Sensitivity]:
+        """Sensitivities of the coarse mesh, by what is sought."""
+        return [
+            p.sensitivity(m, self.order.relief).of(expand)
+            for p, m, expand in zip(pressed, self.measured, self.expand, strict=True)
+        ]
 
     def _tolerance(self, misfit: Array, rough: Array) -> Array:
         """What the misfit may be: noise, and the error of the mesh, from the coarse one's."""
-        error = (misfit - carried(rough, self.coarse.layer, self.fine.layer)) / self.refinement
+        coarse = [carried(values, self.coarse.layer, self.fine.layer) for values in rough]
+        error = (misfit - np.stack(coarse)) / self.refinement
         reach = 0.5 * self.thickness / self.fine.layer.spacing[2]
-        return np.sqrt(self.noise**2 + gaussian_filter(error**2, reach, mode="nearest"))
+        near = gaussian_filter(error**2, reach, mode="nearest", axes=(1, 2))
+        return np.sqrt(self.noise**2 + near)
 
-    def _weight(self, pressed: Pressed, tolerance: Array) -> Array:
-        x, y, _ = pressed.surface.reshape(3, -1)
-        return self.measured.covers(x, y).reshape(tolerance.shape) / tolerance
+    def _weight(self, pressed: list[Pressed], tolerance: Array) -> Array:
+        there = [
+            measured.covers(*p.surface.reshape(3, -1)[:2])
+            for p, measured in zip(pressed, self.measured, strict=True)
+        ]
+        return np.stack(there).reshape(tolerance.shape) / tolerance
 
     def _system(
         self,
         jacobian: Array,
-        sensitivity: Sensitivity,
+        sensitivities: list[Sensitivity],
         misfit: Array,
         weight: Array,
-        pressed: Pressed,
+        pressed: list[Pressed],
     ) -> _System:
-        if self.force is None:
-            return _System(jacobian, misfit, weight, np.zeros(jacobian.shape[1]), 0.0)
-        tolerance = _FORCE * self.force
-        off = (pressed.force - self.force) / tolerance
-        return _System(jacobian, misfit, weight, sensitivity.force / tolerance, off)
+        if not self.forces.size:
+            nothing = np.zeros((0, self.order.size))
+            return _System(jacobian, misfit, weight, nothing, np.zeros(0))
+        tolerance = _FORCE * self.forces
+        off = (np.array([p.force for p in pressed]) - self.forces) / tolerance
+        by_force = np.stack([s.force for s in sensitivities]) / tolerance[:, None]
+        return _System(jacobian, misfit, weight, by_force, off)
 
-    def _step(self, system: _System, sought: Array) -> tuple[Array, float, Array]:
+    def _step(self, system: _System, row: Array) -> tuple[Array, float, Array]:
         """Return the step, alpha and the matrix of the normal equations."""
-        stiffness, travel = self.split(sought)
-        smooth = np.zeros((len(sought), len(sought)))
-        smooth[: stiffness.size, : stiffness.size] = _roughness(
-            self.fine.columns, stiffness, self.thickness
-        )
+        sought, order = self.order.read(row), self.order
         weighted = system.weight.reshape(-1, 1) * system.jacobian
         left = (system.weight * system.misfit).ravel()
-        normal = weighted.T @ weighted + np.outer(system.by_force, system.by_force)
-        rhs = -weighted.T @ left - system.by_force * system.off
-        of_columns = np.trace(normal[: stiffness.size, : stiffness.size])
-        unit = of_columns / np.trace(smooth)
-        uneven = smooth @ sought
-        hold = 1e-9 * of_columns / stiffness.size * np.eye(len(normal))
+        normal = weighted.T @ weighted + system.by_force.T @ system.by_force
+        rhs = -weighted.T @ left - system.by_force.T @ system.off
+        # in units of what the data say of each kind
+        parts, units, held = [], [], np.zeros(len(row))
+        rough = [(order.of_stiffness, _roughness(order.columns, sought.stiffness, self.thickness))]
+        if sought.relief is not None:
+            rough.append((order.of_relief, _slopes(order.columns)))
+        for place, matrix in rough:
+            known = float(np.trace(normal[place, place]))
+            units.append(known / np.trace(matrix))
+            parts.append(units[-1] * matrix)
+            held[place] = 1e-9 * known / len(matrix)
+        held[order.of_travels] = held[0]
+        smooth = block_diag(*parts, np.zeros((len(row) - order.of_relief.stop,) * 2))
+        uneven = smooth @ row
 
         def solved(alpha: float) -> tuple[Array, float, Array]:
-            matrix = normal + alpha * unit * smooth + hold
-            step = cho_solve(cho_factor(matrix), rhs - alpha * unit * uneven)
+            matrix = normal + alpha * smooth + np.diag(held)
+            step = cho_solve(cho_factor(matrix), rhs - alpha * uneven)
             return step, _rms(left + weighted @ step), matrix
 
         if self.smoothing is not None:
@@ -348,8 +415,10 @@ class _Search:
                 step, remaining, matrix = solved(alpha)
                 if remaining <= target:
                     break
-        largest = np.full(len(sought), _LARGEST)
-        largest[stiffness.size :] = _FARTHEST * travel
+        largest = np.full(len(row), _LARGEST)
+        largest[order.of_relief] = _HIGHEST * self.thickness
+        if order.travels:
+            largest[order.of_travels] = _FARTHEST * np.array(sought.travels)
         return np.clip(step, -largest, largest), float(alpha), matrix
 
 
@@ -359,15 +428,34 @@ def _rms(values: Array) -> float:
 
 def _roughness(columns: Columns, stiffness: Array, thickness: float) -> Array:
     """D^T D: squares of the slopes of stiffness, edges that are there already counting less."""
-    ny, nx = columns.shape
-    parts = []
-    for axis, (borders, count) in enumerate(((columns.y, ny), (columns.x, nx))):
+    whole = []
+    for axis, borders in enumerate((columns.y, columns.x)):
         pitch = 0.5 * (borders[2:] - borders[:-2])
         slope = np.diff(stiffness, axis=axis) / np.expand_dims(pitch, 1 - axis)
         edge = 1 / np.sqrt(1 + (slope * thickness / _STEEP) ** 2)
-        difference = sp.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(count - 1, count))
-        one = sp.diags_array(1 / pitch) @ difference
-        first, second = (one, sp.eye_array(nx)) if axis == 0 else (sp.eye_array(ny), one)
-        parts.append(sp.diags_array(np.sqrt(edge.ravel())) @ sp.kron(first, second))
-    whole = sp.csr_matrix(sp.vstack(parts))
-    return (whole.T @ whole).toarray()
+        whole.append(sp.diags_array(np.sqrt(edge.ravel())) @ _differences(pitch, axis, edge.shape))
+    matrix = sp.csr_matrix(sp.vstack(whole))
+    return (matrix.T @ matrix).toarray()
+
+
+def _slopes(columns: Columns) -> Array:
+    """D^T D: squares of the slopes of heights at the corners."""
+    ny, nx = columns.corners
+    matrix = sp.csr_matrix(
+        sp.vstack(
+            [
+                _differences(np.diff(columns.y), 0, (ny - 1, nx)),
+                _differences(np.diff(columns.x), 1, (ny, nx - 1)),
+            ]
+        )
+    )
+    return (matrix.T @ matrix).toarray()
+
+
+def _differences(pitch: Array, axis: int, shape: tuple[int, ...]) -> sp.csr_matrix:
+    """Slopes (of ``shape``) of values in one row between neighbours along an axis."""
+    count = len(pitch)
+    steps = sp.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(count, count + 1))
+    one = sp.diags_array(1 / pitch) @ steps
+    other = sp.eye_array(shape[1 - axis])
+    return sp.csr_matrix(sp.kron(one, other) if axis == 0 else sp.kron(other, one))

@@ -15,7 +15,7 @@ from optical_palpation.palpation import InputErrors, algebraic_result, computati
 from optical_palpation.palpation.plausibility import check_stress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.stiffness import sample_stress
-from optical_palpation.study.inputs import by_side, modelled_sample, sample_motion
+from optical_palpation.study.inputs import by_side, earlier_loads, modelled_sample, sample_motion
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
 from optical_palpation.thickness import (
     clean_thickness,
@@ -148,9 +148,10 @@ def stress_of(
         assert isinstance(friction.window, float)
         assert isinstance(friction.sample, float)
         assert isinstance(size, float)
+        # What was filled says nothing of the sample.
+        last = loaded.where(~thickness["filled"].astype(bool))
         result = sample_stress(
-            # What was filled says nothing of the sample.
-            loaded.where(~thickness["filled"].astype(bool)),
+            [*earlier_loads(study), last],
             thickness["initial_thickness"],
             study.material.make(),
             sample,
@@ -158,6 +159,7 @@ def stress_of(
             sample_friction=friction.sample,
             element_size=size,
             smoothing=study.sample.stiffness_smoothing,
+            input_errors=InputErrors(**study.errors.model_dump()),
             threads=study.grid.threads,
             progress=progress,
         )

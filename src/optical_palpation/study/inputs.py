@@ -12,10 +12,17 @@ import xarray as xr
 from optical_palpation.errors import InputError
 from optical_palpation.files import readable_name
 from optical_palpation.palpation import read_sample_motion, uniform_motion
+from optical_palpation.palpation.input_errors import OF_SAMPLE
 from optical_palpation.stiffness import Sample
 from optical_palpation.study.record import sha256
 from optical_palpation.study.schema import MapInput, Study, VolumeInput, Volumes
-from optical_palpation.thickness import LayerFinder, find_layer, read_height_map
+from optical_palpation.thickness import (
+    LayerFinder,
+    clean_thickness,
+    find_layer,
+    read_height_map,
+    read_thickness_map,
+)
 from optical_palpation.volume import Volume, open_volume
 
 _READING = ("variable", "axes", "spacing", "scale", "refractive_index", "origin", "untrusted")
@@ -120,19 +127,49 @@ def modelled_sample(study: Study) -> Sample | None:
     given = study.sample
     if given.thickness is None or given.plate_friction is None:
         return None
+    relief: Any = given.relief
     try:
-        relief = None if given.relief is None else read_height_map(study.path(given.relief))
+        if "relief" in given.files:
+            relief = read_height_map(study.path(given.files["relief"]))
     except InputError as error:
         raise InputError(f"{study.file}, [sample]: {error}") from error
     return Sample(
         thickness=given.thickness,
-        compression=given.compression,
-        total_force=given.total_force,
+        compression=_of_loads(study, "compression"),
+        total_force=_of_loads(study, "total_force"),
         plate_friction=given.plate_friction,
         relief=relief,
         size=given.size,
         law=given.make_law(study.material.make()),
     )
+
+
+def _of_loads(study: Study, name: str) -> float | list[float] | None:
+    """Travel or force of every load, or of the only one; None where it is not given."""
+    sample = study.sample
+    given = [getattr(load, name) for load in (*sample.earlier, sample)]
+    if None in given:
+        return None
+    return given if sample.earlier else given[0]
+
+
+def earlier_loads(study: Study) -> list[xr.DataArray]:
+    """The loaded thickness at the earlier loads of a series, mm; what was filled is missing.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used.
+    """
+    maps = []
+    for number, load in enumerate(study.sample.earlier, start=1):
+        try:
+            path, extent = study.path(load.map), study.layer.extent
+            cleaned = clean_thickness(read_thickness_map(path, layer_extent=extent, **load.reading))
+        except InputError as error:
+            raise InputError(f"{study.file}, [[sample.earlier]] {number}: {error}") from error
+        maps.append(cleaned["thickness"].where(~cleaned["filled"]))
+    return maps
 
 
 def read_sample(study: Study) -> None:
@@ -142,18 +179,24 @@ def read_sample(study: Study) -> None:
     """
     read_motion(study)
     modelled_sample(study)
+    earlier_loads(study)
 
 
 def sample_input(study: Study) -> dict[str, dict[str, str]]:
-    """The file that the sample's table names and its hash, for the record."""
-    for key, name in study.sample.files.items():  # one at most
-        return {"sample": {key: name, "sha256": sha256(study.path(name))}}
-    return {}
+    """The files that the sample's table names and their hashes, for the record."""
+    found = {}
+    for key, name in study.sample.files.items():
+        title = "sample" if key in ("motion", "relief") else f"sample-{key}"
+        kind = "map" if title != "sample" else key
+        found[title] = {kind: name, "sha256": sha256(study.path(name))}
+    return found
 
 
 def sample_facts(study: Study) -> dict[str, Any]:
     """What the sample adds to the facts on which the stress depends: its keys, of files hashes."""
     given = study.sample.model_dump(mode="json", exclude_none=True)
+    for load in given.get("earlier", []):
+        del load["map"]  # what it holds counts, not its name
     given |= {key: sha256(study.path(name)) for key, name in study.sample.files.items()}
     return {"sample": given} if given else {}
 
@@ -212,9 +255,15 @@ def file_state(path: Path) -> list[tuple[str, int, int, int]] | None:
 
 def parameters(study: Study) -> dict[str, Any]:
     """Return all parameters with their defaults; those of both volumes stand with each of them."""
-    # with the sample in the model the inputs have errors of their own
-    unused = {"volumes", "errors"} if study.sample.modelled else {"volumes"}
-    return study.model_dump(mode="json", exclude_none=True, exclude=unused)
+    given = study.model_dump(mode="json", exclude_none=True, exclude={"volumes"})
+    for name in unused_errors(study):
+        del given["errors"][name]
+    return given
+
+
+def unused_errors(study: Study) -> set[str]:
+    """Inputs of ``[errors]`` that the study does not have."""
+    return set() if study.sample.modelled else set(OF_SAMPLE)
 
 
 def by_side(study: Study) -> Mapping[str, VolumeInput]:

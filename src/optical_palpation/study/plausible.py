@@ -16,7 +16,7 @@ from optical_palpation.palpation.plausibility import (
 )
 from optical_palpation.stiffness import check_sample
 from optical_palpation.study.compute import thickness_of
-from optical_palpation.study.inputs import by_side, modelled_sample
+from optical_palpation.study.inputs import by_side, earlier_loads, modelled_sample
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
 from optical_palpation.thickness import read_thickness_map
 
@@ -96,7 +96,8 @@ def _check_sample(study: Study) -> None:
     except InputError as error:
         raise InputError(f"{study.file}: {error}") from error
     try:
-        check_sample(sample, thickness["loaded_thickness"], thickness["initial_thickness"])
+        loads = [*earlier_loads(study), thickness["loaded_thickness"]]
+        check_sample(sample, loads, thickness["initial_thickness"])
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
 

@@ -17,7 +17,7 @@ from optical_palpation.material import Law
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present import read_result
 from optical_palpation.stiffness import Sample
-from optical_palpation.study.reading import changed, make_study, plain, read_study
+from optical_palpation.study.reading import changed, make_study, plain, read_study, relocated
 from optical_palpation.study.run import run_study
 from optical_palpation.study.schema import Study as StudyFile
 from optical_palpation.study.stages import STRESS, THICKNESS
@@ -229,9 +229,12 @@ class Study:
                     whole = self._checked.path(it[key])
                     it[key] = self._kept(whole, path.with_name(f"{path.stem}-{side}.nc"))
             given[side] = it
-        for key, name in self._checked.sample.files.items():
-            source = self._kept(self._checked.path(name), path.with_name(f"{path.stem}-{key}.nc"))
-            given["sample"] = {**given["sample"], key: source}
+
+        def keep(key: str, name: str) -> str:
+            return self._kept(self._checked.path(name), path.with_name(f"{path.stem}-{key}.nc"))
+
+        if "sample" in given:
+            given["sample"] = relocated(given["sample"], keep)
         with replacing(path) as temporary:
             temporary.write_text(tomli_w.dumps(given), encoding="utf-8")
         return type(self).read(path)
@@ -275,6 +278,15 @@ class _Workspace:
         return path
 
 
+def _kept_load(load: Mapping[str, Any], workspace: _Workspace) -> dict[str, Any]:
+    """An earlier load of a series, its map as a file."""
+    if isinstance(field := load.get("map"), xr.DataArray):
+        from optical_palpation.thickness.frames import on_grid
+
+        return {**load, "map": str(workspace.keep(on_grid(field))), "variable": "thickness"}
+    return dict(load)
+
+
 def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
     """What a study file would say, file names complete."""
     if name in _SIDES:
@@ -300,14 +312,20 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
     if name == "grid" and not isinstance(value, Mapping):
         return {"element_size": plain(value)}
     if name == "sample" and isinstance(value, Sample):
+        if len(value.travels or value.forces or ()) > 1:
+            raise InputError(
+                "sample: of a series of loads give a mapping, whose compression is that of loaded "
+                'and "earlier" a list of {"map": ..., "compression": ...}'
+            )
         value = {key: of for key, of in vars(value).items() if of is not None}
     if name == "sample" and isinstance(value, Mapping):
         whole = {key: plain(of) for key, of in value.items() if not isinstance(of, xr.DataArray)}
+        if loads := whole.get("earlier"):
+            whole["earlier"] = [_kept_load(load, workspace) for load in loads]
+        whole = relocated(whole, lambda _, of: str((folder / of).resolve()))
         for key, of in value.items():
             if isinstance(of, xr.DataArray) and key == "relief":
                 whole[key] = str(workspace.keep(of, "height"))
-            elif key in ("motion", "relief") and isinstance(of, str | os.PathLike):
-                whole[key] = str((folder / of).resolve())
             elif isinstance(of, Law):
                 whole[key] = of.arguments
         return whole

@@ -5,9 +5,10 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
+import os
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,8 @@ from pydantic import ValidationError
 from optical_palpation.arguments import check_instance
 from optical_palpation.errors import InputError, MaterialError, OutputError
 from optical_palpation.files import replacing
+from optical_palpation.palpation.input_errors import OF_SAMPLE
 from optical_palpation.study.schema import (
-    Errors,
     MapInput,
     NumberInput,
     Study,
@@ -145,6 +146,29 @@ def changed(given: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str
     return result
 
 
+def relocated(sample: Mapping[str, Any], name: Callable[[str, str], str]) -> dict[str, Any]:
+    """Return the table of a sample with other names of the files in it.
+
+    Parameters
+    ----------
+    sample
+        The table ``[sample]``.
+    name
+        Function of what a file is ("motion", "relief", "earlier-1") and its name, returns another.
+    """
+    whole = dict(sample)
+    for key in ("motion", "relief"):
+        of = whole.get(key)
+        if isinstance(of, str | os.PathLike) and not (key == "relief" and of == "flat"):
+            whole[key] = name(key, str(of))
+    if loads := whole.get("earlier"):
+        whole["earlier"] = [
+            {**load, "map": name(f"earlier-{n}", str(load["map"]))} if "map" in load else load
+            for n, load in enumerate(loads, start=1)
+        ]
+    return whole
+
+
 def as_toml(value: Any) -> str:
     """Return a value as a study file writes it, on one line."""
     if isinstance(value, Mapping):
@@ -211,9 +235,14 @@ def _check(study: Study) -> None:
         raise InputError(
             f"{study.file}: layer.registration = true needs an unloaded volume or map, not a number"
         )
-    for table, values in (*study.inputs.items(), ("sample", study.sample)):
+    earlier = [
+        (f"sample.earlier[{n}]", load) for n, load in enumerate(study.sample.earlier, start=1)
+    ]
+    for table, values in (*study.inputs.items(), ("sample", study.sample), *earlier):
         for key in ("volume", "map", "corrections", "motion", "relief"):
             name = getattr(values, key, None)
+            if key == "relief" and name == "flat":
+                continue
             if isinstance(name, str) and not study.path(name).exists():
                 raise InputError(
                     f"{study.file}: {table}.{key} = {as_toml(name)}: there is no "
@@ -232,6 +261,12 @@ def _check_sample(study: Study) -> None:
     }
     of_model = sorted(given.keys() - {"motion"})
     if not of_model:
+        of_sample = [name for name in OF_SAMPLE if name in study.errors.model_fields_set]
+        if of_sample:
+            raise InputError(
+                f"{study.file}: [errors] {', '.join(of_sample)}: only with the sample in the model "
+                "([sample] with its thickness); leave it out"
+            )
         return
     where = f"{study.file}: [sample]"
     known = given.keys() | ({"compression"} if "total_force" in given else set())
@@ -239,6 +274,15 @@ def _check_sample(study: Study) -> None:
         raise InputError(
             f"{where}: {', '.join(absent)}: missing; a sample that goes into the model, as "
             f"{of_model[0]} says, needs {', '.join(needed)}"
+        )
+    of_loads = {
+        name: [getattr(load, name) is not None for load in (*study.sample.earlier, study.sample)]
+        for name in ("compression", "total_force")
+    }
+    if half := [name for name, there in of_loads.items() if any(there) and not all(there)]:
+        raise InputError(
+            f"{where}: {', '.join(half)}: given for some of the {len(study.sample.earlier) + 1} "
+            "loads; each of [[sample.earlier]] and [sample] itself must have it, or none"
         )
     if "motion" in given:
         raise InputError(
@@ -259,13 +303,12 @@ def _check_sample(study: Study) -> None:
         f"grid.solver = {as_toml(grid.solver)}": grid.solver != "auto",
         "grid.element_size of three numbers": isinstance(grid.element_size, tuple),
         "grid.accuracy": grid.accuracy is not None,
-        "errors": study.errors != Errors(),
     }
     if found := [what for what, there in refused.items() if there]:
         raise InputError(
             f"{study.file}: {', '.join(found)}: not with the sample in the model ([sample]), where "
-            "the layer's sides are free, both of its faces slip, no imprint is smoothed, the "
-            "elements have one size, and the inputs have errors of their own: leave it out"
+            "the layer's sides are free, both of its faces slip, no imprint is smoothed and the "
+            "elements have one size: leave it out"
         )
 
 
@@ -279,7 +322,8 @@ _HINTS = {
     "compression": "mm, how far the plate moves after layer and sample have met",
     "plate_friction": "Coulomb coefficient between sample and plate, 0 to 2",
     "total_force": "mN, on the window",
-    "relief": "a file of the heights of the unloaded surface",
+    "relief": 'a file of the heights of the unloaded surface, or "flat"',
+    "earlier": "loads before that of [loaded], each with its map and compression",
     "size": "mm, x and y",
     "law": "how stress grows with strain",
     "stiffness_smoothing": "about 0.001, next to none, to 10, next to uniform",

@@ -159,12 +159,25 @@ SampleLaw = Annotated[
 ]
 
 
+class EarlierLoad(MapInput):
+    """A load before that of ``[loaded]``: a thickness map, and how far the sample was pressed."""
+
+    compression: Positive | None = None
+    total_force: Positive | None = None
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """How the map is read."""
+        return self.model_dump(exclude={"map", "compression", "total_force"})
+
+
 class Sample(Table):
     """How the sample's surface moves sideways; or the sample itself, which tells that.
 
     ``motion`` is the strain by which the surface spreads, or a file. The other keys put the sample
     into the model (:class:`~optical_palpation.stiffness.Sample`), mm and mN; ``relief`` is a
-    file of heights, ``law`` "layer" that of the layer.
+    file of heights, or "flat", ``law`` "layer" that of the layer, ``earlier`` the loads of a series
+    before that of ``[loaded]``.
     """
 
     motion: Annotated[float, Field(gt=-0.5, lt=1)] | Text | None = None
@@ -176,6 +189,7 @@ class Sample(Table):
     size: Pair | None = None
     law: SampleLaw = "neo-hookean"
     stiffness_smoothing: Positive | None = None
+    earlier: Annotated[tuple[EarlierLoad, ...], Strict(False)] = ()
 
     @property
     def modelled(self) -> bool:
@@ -191,8 +205,10 @@ class Sample(Table):
     @property
     def files(self) -> dict[str, str]:
         """The files that it names, by key."""
-        both = {"motion": self.motion, "relief": self.relief}
-        return {key: name for key, name in both.items() if isinstance(name, str)}
+        relief = None if self.relief == "flat" else self.relief
+        both = {"motion": self.motion, "relief": relief}
+        named = {key: name for key, name in both.items() if isinstance(name, str)}
+        return named | {f"earlier-{n}": load.map for n, load in enumerate(self.earlier, start=1)}
 
 
 class Grid(Table):
@@ -212,14 +228,25 @@ class Grid(Table):
         return self
 
 
+Fraction = Annotated[float, Field(ge=0, lt=1)]
+
+
 class Errors(Table):
-    """Half-widths of the 95 % intervals of the inputs; no error bands if all are 0."""
+    """Half-widths of the 95 % intervals of the inputs; no error bands if all are 0.
+
+    Those of plate friction, compression, sample thickness and total force need a sample in the
+    model.
+    """
 
     window_friction: Annotated[float, Field(ge=0)] = INPUT_ERRORS.window_friction
     sample_friction: Annotated[float, Field(ge=0)] = INPUT_ERRORS.sample_friction
     modulus: Annotated[float, Field(ge=0)] = INPUT_ERRORS.modulus
     thickness: Annotated[float, Field(ge=0)] = INPUT_ERRORS.thickness
     initial_thickness: Annotated[float, Field(ge=0)] = INPUT_ERRORS.initial_thickness
+    plate_friction: Annotated[float, Field(ge=0)] = INPUT_ERRORS.plate_friction
+    compression: Fraction = INPUT_ERRORS.compression
+    sample_thickness: Fraction = INPUT_ERRORS.sample_thickness
+    total_force: Fraction = INPUT_ERRORS.total_force
 
 
 class Outputs(Table):

@@ -22,8 +22,11 @@ def _lines(study: Study) -> Iterator[str]:
     if study.friction.slip_length is not None:
         friction["slip_length"] = study.friction.slip_length
     modelled = study.sample.modelled
-    packages = "material, stiffness, thickness" if modelled else "material, palpation, thickness"
-    yield f"from optical_palpation import {packages}"
+    errors = study.errors.model_dump(exclude_defaults=True)
+    packages = ["material", "stiffness" if modelled else "palpation", "thickness"]
+    if errors and modelled:
+        packages.insert(1, "palpation")
+    yield f"from optical_palpation import {', '.join(packages)}"
     if any(isinstance(source, VolumeInput) for source in study.inputs.values()):
         yield "from optical_palpation.volume import open_volume"
     yield ""
@@ -42,12 +45,11 @@ def _lines(study: Study) -> Iterator[str]:
     else:
         yield 'loaded = thickness.clean_thickness(loaded)["thickness"]'
     yield f"silicone = {_law(study.material)}"
+    if errors:
+        yield f"errors = palpation.InputErrors({_arguments(errors)})"
     if modelled:
         yield from _with_sample(study, friction)
         return
-    errors = study.errors.model_dump(exclude_defaults=True)
-    if errors:
-        yield f"errors = palpation.InputErrors({_arguments(errors)})"
     motion = study.sample.motion
     if isinstance(motion, str):
         yield f"motion = palpation.read_sample_motion({motion!r})"
@@ -64,9 +66,26 @@ def _lines(study: Study) -> Iterator[str]:
 def _with_sample(study: Study, friction: Mapping[str, object]) -> Iterator[str]:
     given, grid = study.sample, study.grid
     options = given.model_dump(include={"thickness", "plate_friction", "total_force", "size"})
-    options = {key: value for key, value in options.items() if value is not None}
-    parts = [_arguments({"compression": given.compression} | options)]
-    if given.relief is not None:
+    options = {"compression": given.compression} | options
+    for name in ("compression", "total_force"):
+        if given.earlier and options[name] is not None:
+            options[name] = [getattr(load, name) for load in (*given.earlier, given)]
+    options = {
+        key: value for key, value in options.items() if value is not None or key == "compression"
+    }
+    parts = [_arguments(options)]
+    if given.earlier:
+        yield "loads = []"
+        layer = {} if study.layer.extent is None else {"layer_extent": study.layer.extent}
+        for load in given.earlier:
+            reading = {key: of for key, of in load.reading.items() if of is not None} | layer
+            yield f"earlier = thickness.read_thickness_map({_arguments(reading, load.map)})"
+            yield "cleaned = thickness.clean_thickness(earlier)"
+            yield 'loads.append(cleaned["thickness"].where(~cleaned["filled"]))'
+        yield "loaded = [*loads, loaded]"
+    if given.relief == "flat":
+        parts.append('relief="flat"')
+    elif given.relief is not None:
         yield f"relief = thickness.read_height_map({given.relief!r})"
         parts.append("relief=relief")
     if given.law == "layer":
@@ -81,7 +100,9 @@ def _with_sample(study: Study, friction: Mapping[str, object]) -> Iterator[str]:
         solving["threads"] = grid.threads
     yield "result = stiffness.sample_stress("
     yield f"    loaded, unloaded, silicone, sample, {_arguments(friction)},"
-    yield f"    {_arguments(solving)}"
+    yield f"    {_arguments(solving)},"
+    if study.errors.model_dump(exclude_defaults=True):
+        yield "    input_errors=errors,"
     yield ")"
 
 

@@ -27,6 +27,7 @@ from optical_palpation.study.inputs import (
     open_input,
     parameters,
     sample_facts,
+    unused_errors,
 )
 from optical_palpation.study.record import Make, Progress, Stage, Tell
 from optical_palpation.study.schema import MapInput, NumberInput, Study
@@ -77,6 +78,8 @@ class Stages:
             name: getattr(study, name).model_dump(mode="json")
             for name in ("material", "friction", "grid", "errors")
         }
+        for name in unused_errors(study):
+            del tables["errors"][name]
         facts = {"material": tables["material"], "glued": study.friction.sample_glued}
         stages.append(Stage(ALGEBRAIC, facts, [THICKNESS], self._algebraic, code=_SOLVING))
         facts = tables | sample_facts(study)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import RectBivariateSpline
 
 from optical_palpation.errors import InputError
 from optical_palpation.volume.labels import axis_of
@@ -172,6 +173,31 @@ def inside_layer(thickness: xr.DataArray) -> NDArray[np.bool_]:
         (y >= y0 - slack) & (y <= y1 + slack),
         (x >= x0 - slack) & (x <= x1 + slack),
     )
+
+
+def smooth_map(
+    field: xr.DataArray,
+) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
+    """Return a map on ``(y, x)`` as a function of x and y, mm: a cubic spline, level beyond ends.
+
+    Raises
+    ------
+    InputError
+        If values are missing.
+    """
+    if not np.isfinite(field.values).all():
+        raise InputError("the field has missing values: fill them first")
+    field_y, field_x = (field[axis].values.astype(float) for axis in "yx")
+    values = field.transpose("y", "x").values.astype(float)
+    order_y, order_x = (min(3, axis.size - 1) for axis in (field_y, field_x))
+    spline = RectBivariateSpline(field_y, field_x, values, kx=order_y, ky=order_x)
+
+    def at(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        inside_y = np.clip(y, field_y[0], field_y[-1])
+        inside_x = np.clip(x, field_x[0], field_x[-1])
+        return np.asarray(spline.ev(inside_y, inside_x), dtype=np.float64)
+
+    return at
 
 
 def checked_values(values: ArrayLike, where: str) -> NDArray[np.float64]:

@@ -24,7 +24,7 @@ from optical_palpation.study import Progress, Study, find_boundaries, read_study
 from optical_palpation.study.compute import algebraic_of, stress_of, thickness_of
 from optical_palpation.study.inputs import by_side, described, file_state, finding, reading
 from optical_palpation.study.plausible import check_study
-from optical_palpation.study.reading import changed, make_study
+from optical_palpation.study.reading import changed, make_study, relocated
 from optical_palpation.study.schema import MapInput, VolumeInput
 from optical_palpation.thickness import (
     Corrections,
@@ -81,8 +81,10 @@ class Session:
                     given[key] = str(study.path(given[key]).resolve())
             if corrections := given.pop("corrections", None):
                 session.corrections[side] = read_corrections(corrections)
-        for key, name in study.sample.files.items():
-            tables["sample"][key] = str(study.path(name).resolve())
+        if "sample" in tables:
+            tables["sample"] = relocated(
+                tables["sample"], lambda _, name: str(study.path(name).resolve())
+            )
         session.tables, session._opened = tables, path
         return session
 

@@ -20,6 +20,8 @@ from .projection import Interface, Plane
 Array = NDArray[np.float64]
 Field = Callable[[Array, Array], Array]
 
+#: Points for each element at which the highest one is sought.
+_BETWEEN = 4
 _GROWTH_OUTSIDE = 1.3  # of the layer's elements beyond the sample
 #: Slip over which friction builds up, as a share of the layer's thickness.
 _SLIP_LENGTH = 2e-3
@@ -97,8 +99,10 @@ def assemble(
 
     at = np.meshgrid(sample_x, sample_y)
     height = blocks.relief(*at)
-    # They touch first where the layer and what stands out of the sample are thickest together.
-    reach = float((blocks.thickness(*at) + height).max())
+    # They touch first where the layer and what stands out of the sample are thickest together,
+    # which need not be at a node.
+    between = np.meshgrid(_divided(sample_x), _divided(sample_y))
+    reach = float((blocks.thickness(*between) + blocks.relief(*between)).max())
     top = reach - height
     plate = reach + blocks.sample_thickness
     if (plate - top).min() < 0.1 * blocks.sample_thickness:
@@ -178,6 +182,12 @@ def _lateral(
     else:
         inner = node_positions(smaller, size, start, edge=edge)
     return _extended(inner, start, size), _extended(inner, 0.5 * (sample - smaller), size)
+
+
+def _divided(nodes: Array) -> Array:
+    """Nodes with further points between them."""
+    numbers = np.linspace(0, len(nodes) - 1, _BETWEEN * (len(nodes) - 1) + 1)
+    return np.interp(numbers, np.arange(len(nodes)), nodes)
 
 
 def _extended(inner: Array, width: float, size: float) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,8 +26,10 @@ _HANDOVER = 0.25
 _CHANGE_OF_MESH = 20.0
 
 
-def solve(levels: list[Stack], report: Report | None = None) -> Path:
+def solve(levels: list[Stack], report: Report | None = None, stops: Sequence[float] = ()) -> Path:
     """Compress to the full travel; ``levels`` are meshes of one scene, coarse to fine.
+
+    The states of the finest mesh at the loads ``stops`` are kept.
 
     Raises
     ------
@@ -35,8 +37,10 @@ def solve(levels: list[Stack], report: Report | None = None) -> Path:
         When the full load is not reached on some mesh.
     """
     path: Path | None = None
+    handover = min(_HANDOVER, *(0.5 * load for load in stops)) if stops else _HANDOVER
     for n, level in enumerate(levels):
-        target = 1.0 if level is levels[-1] else _HANDOVER
+        last = level is levels[-1]
+        target, here = (1.0, stops) if last else (handover, ())
 
         def on_iteration(load: float, now: Balance, level: Stack = level) -> None:
             if report:
@@ -45,13 +49,13 @@ def solve(levels: list[Stack], report: Report | None = None) -> Path:
         solver = make_solver(level)
         if path is not None:
             try:
-                path = _carried(path, levels[n - 1], level, solver, on_iteration, target)
+                path = _carried(path, levels[n - 1], level, solver, on_iteration, target, here)
                 continue
             except (NotConverged, LoadNotReached):
                 pass
         record = path.record if path is not None else []
         guess = column_forces(level)
-        path = follow(level, at_rest(level), guess, solver, on_iteration, target=target)
+        path = follow(level, at_rest(level), guess, solver, on_iteration, target=target, stops=here)
         path.record[:0] = record
     assert path is not None
     return path
@@ -64,6 +68,7 @@ def _carried(
     solver: StackSolver,
     on_iteration: Callable[[float, Balance], None],
     target: float,
+    stops: Sequence[float],
 ) -> Path:
     """Go on with a path on a finer mesh."""
     state, before = (_prolonged(s, coarse, fine) for s in (path.state, path.previous))
@@ -84,8 +89,8 @@ def _carried(
     if state.load == target:
         return Path(state, before, record)
     control = StepControl(first=StepControl.largest)
-    rest = follow(fine, state, state.forces, solver, on_iteration, control, before, target)
-    return Path(rest.state, rest.previous, record + rest.record)
+    rest = follow(fine, state, state.forces, solver, on_iteration, control, before, target, stops)
+    return Path(rest.state, rest.previous, record + rest.record, rest.stops)
 
 
 def _prolonged(state: State, coarse: Stack, fine: Stack) -> State:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,18 +21,23 @@ Array = NDArray[np.float64]
 _ON_THE_WAY = 30.0
 
 
-def tolerances(load: float) -> Tolerances:
+def tolerances(load: float, stops: Sequence[float] = ()) -> Tolerances:
     """Return when a load is reached."""
-    return TOLERANCES if load == 1.0 else relaxed(TOLERANCES, _ON_THE_WAY)
+    exact = load == 1.0 or load in stops
+    return TOLERANCES if exact else relaxed(TOLERANCES, _ON_THE_WAY)
 
 
 @dataclass
 class Path:
-    """The last two accepted states and the record of (elements, load, Newton iterations)."""
+    """The last two accepted states and the record of (elements, load, Newton iterations).
+
+    ``stops`` are the states in equilibrium at the loads that were asked for.
+    """
 
     state: State
     previous: State
     record: list[tuple[int, float, int]] = field(default_factory=list)
+    stops: list[State] = field(default_factory=list)
 
 
 def follow(
@@ -44,11 +49,13 @@ def follow(
     control: StepControl | None = None,
     before: State | None = None,
     target: float = 1.0,
+    stops: Sequence[float] = (),
 ) -> Path:
     """Compress from ``start`` to a load, by default the full travel of the plate.
 
     The first step is extrapolated from ``before`` if given; otherwise ``guess``, estimated contact
-    forces at full load, starts it.
+    forces at full load, starts it. The states at the loads ``stops``, none of them before the
+    start, are kept.
 
     Raises
     ------
@@ -57,9 +64,11 @@ def follow(
     control = control or StepControl()
     state = start
     step, record = control.first, []
+    ends, kept = sorted({*stops, target}), list[State]()
     while True:
-        steps = np.ceil((target - state.load) / step - 1e-9)  # equal ones, not a small last one
-        load = target if steps == 1 else state.load + float((target - state.load) / steps)
+        end = next(load for load in ends if load > state.load)
+        steps = np.ceil((end - state.load) / step - 1e-9)  # equal ones, not a small last one
+        load = end if steps == 1 else state.load + float((end - state.load) / steps)
         trial = replace(state, load=load)
         if before is not None:
             ratio = (load - state.load) / (state.load - before.load)
@@ -76,20 +85,24 @@ def follow(
             u[stack.bodies[LAYER].n_nodes :, 2] -= load * stack.compression
             trial = trial.moved(u, state.p, tuple(load * force for force in guess))
         try:
-            reached, count = equilibrate(stack, trial, solver, tolerances(load), on_iteration)
+            reached, count = equilibrate(
+                stack, trial, solver, tolerances(load, stops), on_iteration
+            )
         except NotConverged as failure:
             step = 0.5 * (load - state.load)
             if step < control.smallest:
                 raise LoadNotReached(state.load, str(failure)) from None
             continue
         record.append((stack.n_elements, load, count))
+        if load in stops:
+            kept.append(reached)
         if load == 1.0:
-            return Path(reached, state, record)
+            return Path(reached, state, record, kept)
         if count <= control.easy:
             step = min(control.largest, 1.5 * step)
         before, state = state, remember(stack, reached)
         if load == target:
-            return Path(state, before, record)
+            return Path(state, before, record, kept)
 
 
 def remember(stack: Stack, state: State) -> State:

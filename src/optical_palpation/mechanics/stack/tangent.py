@@ -6,6 +6,8 @@ do: each of them is one more right-hand side.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -24,6 +26,8 @@ Array = NDArray[np.float64]
 _CLOSED = 1e8
 #: Stiffness, in shear moduli times an element's width, that holds what nothing else holds.
 _HOLD = 1e-8
+#: Change of shape from which its derivative is computed, as a share of the thickness.
+_SHAPE_STEP = 1e-6
 
 
 class Tangent:
@@ -155,6 +159,55 @@ def _interface(stack: Stack, term: ContactTerms, position: Array) -> sp.csr_matr
         shares = _matrix(values, term, n_nodes)
         matrix = matrix + shares.T @ acts[way]
     return sp.csr_matrix(matrix)
+
+
+def shape_forces(body: Body, u: Array, p: Array) -> tuple[Array, Array]:
+    """Derivative of a body's nodal forces by its unloaded shape, its deformed one being as it is.
+
+    Parameters
+    ----------
+    u, p
+        As for :func:`stiffness_forces`.
+
+    Returns
+    -------
+    tuple
+        By the height of the upper face at each column of nodes, (ny + 1, nx + 1, 3, nz + 1, 3, 3),
+        mN / mm, the forces on this and the eight columns of nodes around it; and by the distance of
+        the lower face from the window, taken away everywhere, (3, nz + 1, ny + 1, nx + 1), mN / mm.
+    """
+    grid, top = body.grid, np.broadcast_to(body.top, body.grid.thickness.shape)
+    ny1, nx1 = top.shape
+    step = _SHAPE_STEP * float(np.median(grid.thickness))
+    start = body.forces(u, p)
+    ratio = start.volume / start.reference_volume
+
+    def forces(higher: Array, shorter: float) -> Array:
+        """Forces of the body of another shape, in the same place and as nearly incompressible."""
+        thickness = grid.thickness + higher - shorter
+        other = replace(body, grid=replace(grid, thickness=thickness), top=top - higher)
+        moved = u - (other.nodes - body.nodes)
+        volume = other.forces(moved, p)
+        change = volume.volume / volume.reference_volume - ratio
+        return other.forces(moved, p + body.bulk_modulus * change).force
+
+    def derivative(higher: Array, shorter: float = 0.0) -> Array:
+        up, down = (forces(sign * step * higher, sign * step * shorter) for sign in (1.0, -1.0))
+        return np.asarray((up - down) / (2 * step), dtype=float)
+
+    out = np.zeros((ny1, nx1, 3, grid.depth.size, 3, 3))
+    for first_y in range(3):
+        for first_x in range(3):
+            these = (slice(first_y, None, 3), slice(first_x, None, 3))
+            higher = np.zeros(top.shape)
+            higher[these] = 1.0
+            change = np.pad(derivative(higher), ((0, 0), (0, 0), (1, 1), (1, 1)))
+            for b in range(3):
+                for a in range(3):
+                    here = change[:, :, first_y + b :: 3, first_x + a :: 3]
+                    own = out[these][..., b, a]
+                    own[:] = here[:, :, : own.shape[0], : own.shape[1]].transpose(2, 3, 0, 1)
+    return out, derivative(np.zeros(top.shape), 1.0)
 
 
 def stiffness_forces(body: Body, u: Array, p: Array) -> Array:

@@ -15,12 +15,14 @@ from optical_palpation.present.figure import colour_map
 from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.report.maps import encode_map, encode_maps
 from optical_palpation.present.summary import (
+    INPUTS,
     edge_influence,
     equilibrium,
     force_error,
     has_bands,
     input_errors,
     mesh_error,
+    of_series,
 )
 from optical_palpation.present.terms import (
     DIFFERENCE,
@@ -247,6 +249,8 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
         for side in ("window", "sample")
         if (key := f"{side}_force_mN") in attrs
     ]
+    if result.series is not None:
+        rows.append(("Travel of the plate and force at each load", of_series(result.series)))
     if "force_balance" in attrs:
         off = 100 * attrs["force_balance"]
         rows.append(("Difference of the two", f"{off:.2g} %" if off > 1e-3 else "below 0.001 %"))
@@ -319,6 +323,11 @@ def _sample_figures(maps: xr.Dataset) -> list[tuple[str, str]]:
         figures.append((title, f"{_rounded(modulus, error)} kPa"))
         known = float(maps["sample_youngs_modulus"].notnull().mean())
         figures.append(("Modulus known", _percent(known)))
+    if "sample_relief" in maps and maps["sample_relief"].notnull().any():
+        low, high = (float(f(maps["sample_relief"])) for f in (np.nanmin, np.nanmax))
+        band = 1e3 * float(maps["sample_relief_error"].median())
+        said = f"{1e3 * (high - low):.2g} \N{PLUS-MINUS SIGN} {band:.1g} \N{MICRO SIGN}m"
+        figures.append(("Relief of the sample, lowest to highest", said))
     if "compression_error_mm" in attrs:
         found = _rounded(attrs["compression_mm"], attrs["compression_error_mm"])
         figures.append(("Travel of the plate, found", f"{found} mm"))
@@ -333,18 +342,23 @@ def _sample_figures(maps: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def band_rows(result: StressResult) -> list[tuple[str, str, str, str]]:
-    """What the error bands are made of: input, standard error, change of force and mean stress."""
+    """What the error bands are made of: input, its error, change of force and mean stress."""
     try:
         bands = json.loads(result.maps.attrs.get("error_bands", "{}"))
         rows = []
         for name, entry in bands.items():
-            error = float(entry["standard_error"])
+            error = float(entry["half_width"])
             changes = [
                 "unknown" if entry[key] is None else f"{_number(entry[key])} {units}"
                 for key, units in (("force_mN", "mN"), ("mean_stress_kPa", "kPa"))
             ]
-            text = _number(error) if name.endswith("friction") else _percent(error)
-            rows.append((name.replace("_", " "), text, *changes))
+            text = _percent(error)
+            if name.endswith("friction"):
+                text = _number(error)
+            elif name in ("thickness", "initial_thickness"):
+                text = f"{_number(1e3 * error)} \N{MICRO SIGN}m"
+            text = f"\N{PLUS-MINUS SIGN}{text}"
+            rows.append((INPUTS.get(name, name), text, *changes))
         return rows
     except (TypeError, ValueError, KeyError, AttributeError):  # written by other software
         return []
