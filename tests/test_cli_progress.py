@@ -3,6 +3,7 @@
 import ctypes
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from numba import njit
 from rich.console import Console
 
 import optical_palpation
@@ -51,6 +53,36 @@ def test_a_terminal_gets_one_line_that_is_kept_up_to_date():
     assert "100%" in text
     assert "200 Newton iterations" in text
     assert text.count("\n") <= 2
+
+
+def test_a_terminal_keeps_finished_stages(monkeypatch):
+    now = 100.0
+    monkeypatch.setattr("optical_palpation.cli.progress.time.monotonic", lambda: now)
+    stream = io.StringIO()
+    console = Console(file=stream, width=120, force_terminal=True)
+    with ProgressDisplay(console=console) as display:
+        for stage, until in (("boundaries", 103.2), ("thickness", 103.3), ("800 elements", 105.0)):
+            display(SimpleNamespace(stage=stage, load=0.0, newton=0, message=""))
+            now = until
+            display(SimpleNamespace(stage=stage, load=1.0, newton=0, message=""))
+    text = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", stream.getvalue())
+    kept = re.findall(r"([\w ]+: [\d.]+ s)$", text, re.M)
+    assert kept == ["boundaries: 3.2 s", "800 elements: 1.7 s"]
+
+
+def test_a_terminal_says_when_kernels_compile():
+    stream = io.StringIO()
+    console = Console(file=stream, width=120, force_terminal=True)
+    with ProgressDisplay(console=console) as display:
+        display(SimpleNamespace(stage="800 elements", load=0.1, newton=0, message=""))
+        njit(lambda x: x + 1)(1.0)
+        display._bar.refresh()
+        during = stream.getvalue()
+        display(SimpleNamespace(stage="800 elements", load=0.2, newton=0, message=""))
+        display._bar.refresh()
+        after = stream.getvalue()[len(during) :]
+    assert "compiling kernels, once per machine" in during
+    assert "compiling" not in after
 
 
 def test_quiet_says_nothing():

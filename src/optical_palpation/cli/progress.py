@@ -20,6 +20,7 @@ _LOAD_STEP = 0.1
 # Of a stage; before that its first steps, which compile and read, say nothing about the rest.
 _LOAD_KNOWN = 0.05
 _SILENCE = 10.0
+_KEPT = 0.5  # s that a stage must have taken for a line of its own
 
 
 class Display:
@@ -64,9 +65,10 @@ class Display:
 class ProgressDisplay(Display):
     """Shows what it is called with; use as a context manager and pass as ``progress=``.
 
-    On a terminal one line is kept up to date. Elsewhere (a log file, a pipe) a line is printed
-    when the stage changes, at every tenth of the load, and at least every ten seconds of reports.
-    Where kernels are compiled, as in the first run on a machine, it says so.
+    On a terminal one line is kept up to date, and finished stages stay above it with the time that
+    they took. Elsewhere (a log file, a pipe) a line is printed when the stage changes, at every
+    tenth of the load, and at least every ten seconds of reports. Where kernels are compiled, as in
+    the first run on a machine, it says so, for as long as it lasts.
     """
 
     def __init__(self, quiet: bool = False, console: Console | None = None) -> None:
@@ -76,19 +78,21 @@ class ProgressDisplay(Display):
         self._stage: tuple[str, float, float] = ("", 0.0, self._started)  # name, load, time
         self._task = self._bar.add_task("starting", total=1.0, reached="", left="")
         self._said_compiling = False
+        self._compiling = 0  # kernels, those that others call included
+        self._description = ""
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
         from numba.core import event
 
-        say = self._say_compiling
+        count = self._count_compiling
 
         class Compiling(event.Listener):
             def on_start(self, event: object) -> None:
-                say()
+                count(1)
 
             def on_end(self, event: object) -> None:
-                pass
+                count(-1)
 
         self._stack.enter_context(event.install_listener("numba:compile", Compiling()))
         return super().__enter__()
@@ -101,20 +105,39 @@ class ProgressDisplay(Display):
     ) -> None:
         super().__exit__(kind, error, traceback)
         self._stack.close()
+        if error is None:
+            self._keep_stage()
 
-    def _say_compiling(self) -> None:
+    def _count_compiling(self, change: int) -> None:
         if not self._said_compiling:
             self._said_compiling = True
-            self._console.print("compiling kernels, once per machine: up to a minute")
+            self._console.print("compiling kernels, once per machine: up to two minutes")
+        self._compiling += change
+        self._describe()
+
+    def _describe(self) -> None:
+        note = f"{self._description}, compiling kernels".lstrip(", ")
+        self._bar.update(self._task, description=note if self._compiling else self._description)
+
+    def _keep_stage(self) -> None:
+        """Leave a line on a terminal for a stage that has ended."""
+        name, _, start = self._stage
+        seconds = time.monotonic() - start
+        if name and seconds >= _KEPT and self._console.is_terminal:
+            self._console.print(f"{name}: {seconds:.1f} s", markup=False, highlight=False)
 
     def __call__(self, report: Report) -> None:
         """Show one report."""
         description = f"{report.stage}: {report.message}" if report.message else report.stage
+        if report.stage != self._stage[0]:
+            self._keep_stage()
+            self._stage = (report.stage, report.load, time.monotonic())
         left = self._time_left(report)
         if self._console.is_terminal:
+            self._description = description
+            self._describe()
             self._bar.update(
                 self._task,
-                description=description,
                 completed=report.load,
                 reached=_reached(report).removesuffix(", "),
                 left=left,
@@ -141,8 +164,6 @@ class ProgressDisplay(Display):
     def _time_left(self, report: Report) -> str:
         """Return the time left of this stage if load goes on growing as it has done in it."""
         now = time.monotonic()
-        if report.stage != self._stage[0]:
-            self._stage = (report.stage, report.load, now)
         _, load, start = self._stage
         if report.load >= 1 or report.load - load < _LOAD_KNOWN:
             return ""
