@@ -70,6 +70,16 @@ def test_a_terminal_keeps_finished_stages(monkeypatch):
     assert kept == ["boundaries: 3.2 s", "800 elements: 1.7 s"]
 
 
+def test_the_clock_goes_on_after_the_first_stage():
+    stream = io.StringIO()
+    console = Console(file=stream, width=120, force_terminal=True)
+    with ProgressDisplay(console=console) as display:
+        display(SimpleNamespace(stage="boundaries", load=1.0, newton=0, message=""))
+        task = display._bar.tasks[0]
+        assert task.finished_time is None
+        assert not task.finished
+
+
 def test_a_terminal_says_when_kernels_compile():
     stream = io.StringIO()
     console = Console(file=stream, width=120, force_terminal=True)

@@ -76,7 +76,8 @@ class ProgressDisplay(Display):
         self._started = self._last_time = time.monotonic()
         self._last: tuple[str, float] = ("", -1.0)
         self._stage: tuple[str, float, float] = ("", 0.0, self._started)  # name, load, time
-        self._task = self._bar.add_task("starting", total=1.0, reached="", left="")
+        # rich stops the clock of a task that has reached its total, and there are more stages
+        self._task = self._bar.add_task("starting", total=1.0 + 1e-9, reached="", left="")
         self._said_compiling = False
         self._compiling = 0  # kernels, those that others call included
         self._description = ""

@@ -112,8 +112,12 @@ def _run(asked: Study, thickness_only: bool, quiet: bool) -> None:
         return
     if not thickness_only:
         result = present.read_result(done.folder / "stress.nc")
-        print(present.summarise(result))
-        for warning in study.warnings_about(result):
+        warnings = study.warnings_about(result)
+        for line in present.summarise(result).splitlines():
+            # what is a warning in a study is told once
+            if not any(text.startswith(line.removeprefix("WARNING: ")) for text in warnings):
+                print(line)
+        for warning in warnings:
             print(f"WARNING: {warning}")
     for name in done.files:
         print(f"{done.folder / name}{' (from an earlier run)' if name in done.earlier else ''}")

@@ -172,7 +172,7 @@ def map_entries(
         "profiles": {
             "stress": {
                 "label": "axial stress (kPa)",
-                "range": common_limits(stress, "", share=0.1),
+                "range": _profile_range(maps, stress, names),
                 "maps": sorted(stress),
                 "errors": {
                     method: f"{names[method]}_error"
@@ -189,6 +189,20 @@ def map_entries(
         },
         "states": {int(s): s.name.lower() for s in states},
     }
+
+
+def _profile_range(
+    maps: xr.Dataset, stress: Mapping[str, xr.DataArray], names: Mapping[str, str]
+) -> tuple[float, float]:
+    """Range of the profiles of stress: with their error bands, unless these dwarf the stress."""
+    low, high = common_limits(stress, "", share=0.1)
+    ends = dict(stress)
+    for method, field in stress.items():
+        if (error := maps.get(f"{names[method]}_error")) is not None:
+            error = error.interp(y=field["y"], x=field["x"])
+            ends |= {f"{method}, low": field - error, f"{method}, high": field + error}
+    lowest, highest = common_limits(ends, "", share=0.1)
+    return max(lowest, 2 * low - high), min(highest, 2 * high - low)
 
 
 def is_uniform(field: xr.DataArray) -> bool:
@@ -469,11 +483,14 @@ _ENDINGS = {
     "_mm2": "mm\N{SUPERSCRIPT TWO}",
 }
 _UNITS = {
-    **dict.fromkeys(("c10", "c01"), "kPa"),
+    **dict.fromkeys(("c10", "c01", "c20", "c30"), "kPa"),
     **dict.fromkeys(("bulk_to_shear", "refractive_index"), "(ratio)"),
+    **dict.fromkeys(("modulus", "accuracy"), "(fraction)"),
     **dict.fromkeys(
         (
             "thickness",
+            "initial_thickness",
+            "slip_length",
             "element_size",
             "extent",
             "imprint_smoothing",
