@@ -81,7 +81,7 @@ def test_newton_matrix_is_the_derivative_of_the_equations_with_contact_and_frict
     now = equations(state.u)
     state.normal_force = np.maximum(0, np.stack([now.force[2, 0], -now.force[2, -1]]))
     now = equations(state.u)
-    system = assemble(problem, state, now, DirectSolver(problem.grid.node_shape, 0.0))
+    system = assemble(problem, now, DirectSolver(problem.grid.node_shape, 0.0))
     step = np.where(system.free, rng.standard_normal(state.u.shape), 0.0)
     cartesian = 1e-7 * system.to_cartesian(step)
     change = equations(state.u + cartesian).residual - equations(state.u - cartesian).residual

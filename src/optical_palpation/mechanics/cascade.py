@@ -139,7 +139,7 @@ def solve(
     cascade
         Follow the load path on a coarse grid first (else on the grid itself).
     neighbours
-        To be followed beside it where the load path is followed on the grid itself.
+        To be followed beside it where the grid of the load path is small enough.
 
     Raises
     ------
@@ -197,9 +197,10 @@ def solve(
             full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
             report = partial(on_iteration, level) if on_iteration else None
             linear = make_solver(level, solver)
-            beside = neighbours if level is problem else None
+            few = neighbours is not None and level.grid.n_elements <= neighbours.most
+            beside = neighbours if few else None
             if beside:
-                beside.begin(level, rest)
+                beside.begin(level, rest, make_solver(level, solver))
             try:
                 small = intermediate if level is problem else coarse
                 state, steps = follow(
@@ -215,6 +216,8 @@ def solve(
                     exact(level),
                 )
             except LoadNotReached:
+                if beside:
+                    beside.stop("the load was not reached")
                 if level is problem:
                     raise
                 continue  # what a coarse grid cannot bear a finer one may

@@ -90,24 +90,48 @@ class ContactLinearisation:
     lateral stiffness of friction; ``turning`` (ny + 1, nx + 1, 9, 2, 3; imprint only)
     the lateral stiffness by which contact forces turn with the element faces,
     over the neighbours 3 (dy + 1) + (dx + 1); ``spring`` the stiffness of the
-    contact coordinate d, ``load`` the right-hand side that belongs to it; where ``rigid``, d is
-    prescribed as ``step`` (x, y, d) instead, elsewhere ``step`` is what d is sought from. On a
-    glued face all of ``step`` is prescribed. ``violation`` is psi, mN, where glued c times the
-    distance from where the node belongs. ``sides`` is the contact of the sides.
+    contact coordinate d, where ``stiff`` so great that d is sought from where it would be were it
+    prescribed, where ``rigid`` prescribed indeed. ``violation`` is psi, mN, where glued c times the
+    distance ``off`` (x, y, z; 0 elsewhere) from where the node belongs. ``sides`` is the contact of
+    the sides.
     """
 
     penetration: Array
     violation: Array
+    off: Array
     row: Array
     column: Array
     traction: Array
     block: Array
     turning: Array
     spring: Array
-    load: Array
+    stiff: NDArray[np.bool_]
     rigid: NDArray[np.bool_]
-    step: Array
     sides: SideContact
+
+    def to_undo(
+        self, problem: LayerProblem, now: ContactLinearisation, normal_force: Array
+    ) -> tuple[Array, Array]:
+        """What a step must undo of the contact ``now`` of this state or of one near it.
+
+        Returns
+        -------
+        tuple
+            The right-hand side of the vertical equations, (2, ny + 1, nx + 1), mN, and the step
+            (x, y, d) of both faces that is prescribed or sought from, (2, 3, ny + 1, nx + 1), mm.
+        """
+        c = complementarity_scale(problem)
+        other = c / (c + self.spring)  # 1 - S', and 1 where rigid
+        sign = np.array([-1.0, 1.0])[
+            :, None, None
+        ]  # d is z: penetration grows with -d at the window
+        load = np.where(self.rigid, 0.0, sign * (now.violation / other - normal_force))
+        step = np.zeros((2, 3, *c.shape))
+        step[:, 2] = np.where(self.stiff, sign * now.violation / c, 0.0)
+        for face, glued in enumerate(problem.glued):
+            if glued:
+                load[face], step[face] = 0.0, now.off[face]
+        return load, step
 
 
 @dataclass(frozen=True)
@@ -202,15 +226,11 @@ def linearise(
     slope = 1 - other
     violation = normal - s_value
     stiff = slope > STIFF * other
-    rigid = stiff
+    rigid = stiff.copy()
     if problem.edges == "roller":
-        rigid = stiff & (slope > _RIGID * problem.bulk_modulus / problem.shear_modulus * other)
-    other = np.where(rigid, 1.0, other)
-    spring = np.where(rigid, 0.0, slope * c / other)
-    sign = np.array([-1.0, 1.0])[:, None, None]  # d is z: penetration grows with -d at the window
-    load = np.where(rigid, 0.0, sign * (violation / other - normal))
-    step = np.zeros((2, 3, *c.shape))
-    step[:, 2] = np.where(stiff, sign * violation / (np.where(stiff, slope, 1.0) * c), 0.0)
+        rigid &= slope > _RIGID * problem.bulk_modulus / problem.shear_modulus * other
+    spring = np.where(rigid, 0.0, slope * c / np.where(rigid, 1.0, other))
+    off = np.zeros((2, 3, *c.shape))
 
     w = slip_coordinate(problem, state)
     q = np.sqrt(1 + (w**2).sum(1))
@@ -219,11 +239,11 @@ def linearise(
     if bound is None:
         carries = (reaction > 0)[:, None] * friction[:, None] * s
         traction = np.zeros_like(s)
-        stiff = friction * np.maximum(reaction, normal) / problem.slip_length / q
+        hold = friction * np.maximum(reaction, normal) / problem.slip_length / q
     else:
         carries = np.zeros_like(s)
         traction = (friction * bound)[:, None] * s
-        stiff = friction * bound / problem.slip_length / q
+        hold = friction * bound / problem.slip_length / q
     row = carries.copy()
     area = area_vectors(top)
     face_slope = -area[:2] / area[2]
@@ -234,15 +254,15 @@ def linearise(
     d = s if direction is None else direction
     mixed = -0.5 * (s[:, 0] * d[:, 1] + s[:, 1] * d[:, 0])
     block = np.stack(
-        [stiff * (1 - s[:, 0] * d[:, 0]), stiff * mixed, stiff * (1 - s[:, 1] * d[:, 1])], axis=1
+        [hold * (1 - s[:, 0] * d[:, 0]), hold * mixed, hold * (1 - s[:, 1] * d[:, 1])], axis=1
     )
     turning = np.zeros((*h.shape, 9, 2, 3))
     turning_stiffness(top, np.maximum(normal[SAMPLE], 0.0) / area[2], face_slope, turning)
     for face, k in ((WINDOW, 0), (SAMPLE, -1)):
         if problem.glued[face]:
-            step[face] = glued_displacement(problem, face, state.load) - state.u[:, k]
-            violation[face] = c * np.linalg.norm(step[face], axis=0)
-            for nothing in (row, column, traction, spring, load):
+            off[face] = glued_displacement(problem, face, state.load) - state.u[:, k]
+            violation[face] = c * np.linalg.norm(off[face], axis=0)
+            for nothing in (row, column, traction, spring):
                 nothing[face] = 0.0
             rigid[face] = True
             # not part of the equations; it tells the linear solver that the face sticks
@@ -252,15 +272,15 @@ def linearise(
     return ContactLinearisation(
         penetration,
         violation,
+        off,
         row,
         column,
         traction,
         block,
         turning,
         spring,
-        load,
+        stiff,
         rigid,
-        step,
         side_contact(problem, state),
     )
 

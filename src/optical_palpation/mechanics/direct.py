@@ -15,7 +15,7 @@ from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
 from .factors import Factors
-from .system import NewtonSystem
+from .system import NewtonSystem, RightHandSide
 
 Vector = NDArray[np.floating]
 
@@ -40,25 +40,30 @@ class DirectSolver:
         """Take plane k of the displacement block."""
         self.stencil[k] = plane[..., : self.stencil.shape[-1]]
 
-    def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Vector, Vector, int]:
+    def prepare(self, system: NewtonSystem) -> None:
+        """Take a system whose planes have all been stored."""
+        self.system = system
+
+    def solve(self, rhs: RightHandSide, tolerance: float) -> tuple[Vector, Vector, int]:
         """Return the step (du in contact coordinates, dp) and 1, the number of solves.
 
         ``tolerance`` is not used: the solution is exact to rounding.
         """
+        system = self.system
         matrix = sparse_matrix(system.stencil, system.free)
         if system.flow is None and system.gamma == system.bulk_modulus:  # dp follows from du
-            solution = _displacement(matrix, system.rhs)
-            change = system.volume_change(solution) - system.volume_rhs
-            return system.with_prescribed(solution), system.bulk_modulus / system.volume * change, 1
+            u: Vector = _displacement(matrix, rhs.displacement)
+            p: Vector = system.bulk_modulus / system.volume * (system.volume_change(u) - rhs.volume)
+            return system.with_prescribed(u, rhs), p, 1
         out, into = _pressure_blocks(system)
         compression = _compression(system)
         share = sp.diags_array(system.gamma / system.volume.ravel()) @ compression
         out = out @ (sp.eye_array(system.volume.size) - share)
         whole = sp.csr_matrix(sp.block_array([[matrix, out], [into, -compression]]))
-        rhs = np.concatenate([system.rhs.ravel(), system.volume_rhs.ravel()])
-        both = sparse_solve(whole, rhs)
-        u = both[: system.rhs.size].reshape(system.rhs.shape)
-        return system.with_prescribed(u), both[system.rhs.size :].reshape(system.volume.shape), 1
+        both = sparse_solve(whole, np.concatenate([rhs.displacement.ravel(), rhs.volume.ravel()]))
+        u = both[: system.free.size].reshape(system.free.shape)
+        p = both[system.free.size :].reshape(system.volume.shape)
+        return system.with_prescribed(u, rhs), p, 1
 
 
 def _displacement(matrix: sp.csr_matrix, rhs: Vector) -> Vector:

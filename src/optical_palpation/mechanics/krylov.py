@@ -16,7 +16,7 @@ from .grid import LayerGrid
 from .multigrid import Hierarchy
 from .schur import Lubrication, SchurComplement
 from .stencil import Stencil, halo_zeros, interior, store, subtract_product
-from .system import NewtonSystem
+from .system import NewtonSystem, RightHandSide
 
 Vector = NDArray[np.floating]
 
@@ -60,28 +60,45 @@ class MultigridSolver:
         """Take plane k of the displacement block."""
         store(plane, self.stencil, k)
 
-    def solve(self, system: NewtonSystem, tolerance: float) -> tuple[Vector, Vector, int]:
+    def prepare(self, system: NewtonSystem) -> None:
+        """Update the preconditioner to a system whose planes have all been stored."""
+        f32 = np.float32
+        self.system = system
+        self.hierarchy.update(system.free)
+        self.free = system.free.astype(f32)
+        volume = self.volume = system.volume.astype(f32)
+        self.weight = f32(self.shear_modulus + system.gamma) / np.cbrt(volume)
+        self.schur.prepare(volume, system.bulk_modulus, system.flow is not None)
+        contact = system.contact
+        stiffness = _of_elements(contact.block[:, [2, 0]] / self.areas)
+        touching = _of_elements(np.where(contact.rigid, 1.0, contact.spring > self.springs))
+        self.lubrication.prepare(stiffness, touching, system.bulk_modulus)
+        # The uniform pressure is the mode that cosine modes miss most (a layer with nowhere to go
+        # answers to it with its bulk modulus alone): it is solved for by itself.
+        shape = system.free.shape[1:]
+        x = halo_zeros(shape)
+        interior(x, shape)[:] = self.free * system.pressure_force(np.ones_like(volume))
+        compressibility = float((volume / f32(system.bulk_modulus)).sum())
+        uniform = self.hierarchy.compliance(x) + compressibility
+        total = float(volume.sum())
+        # what lubrication says of that mode is not counted twice
+        held = float((volume * self.lubrication.solve(volume)).sum()) / total
+        self.rest = max(0.0, 1 / uniform - held / total)
+
+    def solve(self, rhs: RightHandSide, tolerance: float) -> tuple[Vector, Vector, int]:
         """Return the step (du in contact coordinates, dp) and the number of iterations.
 
         ``tolerance`` is the reduction of the residual of both equations together, each pressure
         equation weighted by (mu + gamma) / V^(1/3) to make it a force.
         """
         f32 = np.float32
-        self.hierarchy.update(system.free)
-        free = system.free.astype(f32)
-        volume = system.volume.astype(f32)
+        system, free, volume, weight = self.system, self.free, self.volume, self.weight
         penalty = f32(system.gamma) / volume
-        compressibility = volume / f32(system.bulk_modulus)
-        weight = f32(self.shear_modulus + system.gamma) / np.cbrt(volume)
-        self.schur.prepare(volume, system.bulk_modulus, system.flow is not None)
-        contact = system.contact
-        stiffness = _of_elements(contact.block[:, [2, 0]] / self.areas)
-        touching = _of_elements(np.where(contact.rigid, 1.0, contact.spring > self.springs))
-        self.lubrication.prepare(stiffness, touching, system.bulk_modulus)
-        shape = system.rhs.shape[1:]
+        shape = free.shape[1:]
         x, b, r = halo_zeros(shape), halo_zeros(shape), halo_zeros(shape)
         inside, pushed, left = (interior(v, shape) for v in (x, b, r))
         size = free.size
+        total = float(volume.sum())
 
         def split(v: Vector) -> tuple[Vector, Vector]:
             return v[:size].reshape(free.shape), v[size:].reshape(volume.shape)
@@ -98,32 +115,23 @@ class MultigridSolver:
             out_p[:] = weight * (system.volume_change(u) - compression)
             return out
 
-        # The uniform pressure is the mode that cosine modes miss most (a layer with nowhere to go
-        # answers to it with its bulk modulus alone): it is solved for by itself.
-        inside[:] = free * system.pressure_force(np.ones_like(volume))
-        uniform = self.hierarchy.compliance(x) + float(compressibility.sum())
-        total = float(volume.sum())
-        # what lubrication says of that mode is not counted twice
-        held = float((volume * self.lubrication.solve(volume)).sum()) / total
-        rest = max(0.0, 1 / uniform - held / total)
-
         def precondition(v: Vector) -> Vector:
             r_u, r_p = split(v)
             out = np.empty_like(v)
             out_u, out_p = split(out)
             r_p = r_p / weight
             mean = float(r_p.sum(dtype=np.float64))
-            out_p[:] = -self.schur.solve(r_p - volume * f32(mean / total)) - f32(mean * rest)
+            out_p[:] = -self.schur.solve(r_p - volume * f32(mean / total)) - f32(mean * self.rest)
             out_p -= self.lubrication.solve(r_p)
             pressure = out_p - penalty * system.compression(out_p)
             inside[:] = free * (r_u - system.pressure_force(pressure))
             out_u[:] = interior(self.hierarchy.cycle(x), shape)
             return out
 
-        rhs = np.concatenate([system.rhs.ravel(), (weight * system.volume_rhs).ravel()])
-        solution, iterations = gmres(operator, precondition, rhs, tolerance, longest(rhs.size))
+        b0 = np.concatenate([rhs.displacement.ravel(), (weight * rhs.volume).ravel()])
+        solution, iterations = gmres(operator, precondition, b0, tolerance, longest(b0.size))
         u, p = split(solution)
-        return system.with_prescribed(u), p, iterations
+        return system.with_prescribed(u, rhs), p, iterations
 
 
 def longest(unknowns: int) -> int:

@@ -3,8 +3,8 @@
 Friction remembers the path of loading, so what a small change of the problem does to the solution
 is not told by its last state. Its neighbours are therefore loaded beside it, at the same loads and
 on the same grids. Each begins at a load from the state there of the problem itself and from what it
-differed by at the load before, which is so near that a Newton iteration or two are enough. What
-they remember is their own: each ends where it would have ended alone.
+differed by at the load before, which is so near that a step or two by the tangent of the problem
+itself are enough. What they remember is their own: each ends where it would have ended alone.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from .contact import remember_slip
+from .contact import remember_slip, slip_coordinate
 from .iteration import NotConverged, Tolerances
-from .newton import LinearSolver, equilibrate
+from .newton import LinearSolver, equilibrate, equilibrate_by
 from .problem import LayerProblem, LayerState
+from .system import assemble
 
 #: A neighbour returns the problem that it is, on the grid of a given one.
 Vary = Callable[[LayerProblem], LayerProblem]
@@ -28,84 +29,106 @@ class Neighbours:
 
     Attributes
     ----------
+    most
+        Elements of the largest grid on which a whole load path is followed.
     problems, states
         On the last grid that they were followed on; the problem itself comes first.
     failure
         Why there are none; empty if there are.
+    begun
+        Whether a load path was followed, or at least begun.
     """
 
-    def __init__(self, vary: Sequence[Vary]) -> None:
+    def __init__(self, vary: Sequence[Vary], most: int) -> None:
         self._vary: tuple[Vary, ...] = (lambda problem: problem, *vary)
+        self.most = most
         self.problems: list[LayerProblem] = []
         self.states: list[LayerState] = []
+        self.begun = False
         self.failure = "the load was not followed"
-        self._beside: LayerState | None = None
 
-    def begin(self, problem: LayerProblem, rest: LayerState) -> None:
-        """Begin a load path with an unloaded layer."""
+    def begin(self, problem: LayerProblem, rest: LayerState, solver: LinearSolver) -> None:
+        """Begin a load path with an unloaded layer, and a linear solver for the neighbours alone.
+
+        What a solver has learnt from them must not touch the problem.
+        """
         self.problems = [vary(problem) for vary in self._vary]
         self.states = [rest for _ in self._vary]
-        self._beside, self.failure = rest, ""
+        self.begun, self.failure = True, ""
+        self._beside, self._solver = rest, solver
 
     def stop(self, failure: str) -> None:
         """Follow no further."""
         self.problems, self.states, self.failure = [], [], failure
 
-    def load(self, solver: LinearSolver, state: LayerState) -> None:
+    def load(self, state: LayerState) -> None:
         """Follow to a state of the problem, its reference slip laid."""
-        if not self.failure:
-            assert self._beside is not None
-            self._equilibrate(solver, state, self._beside, self.states)
-            self._beside = state
+        if self.failure:
+            return
+        trials = [_shifted(state, self._beside, mine) for mine in self.states]
+        self._beside = state
+        self._equilibrate(self._solver, trials)
+        if state.load < 1.0:
+            for problem, mine in zip(self.problems, self.states, strict=True):
+                remember_slip(problem, mine)
 
     def carry(
         self,
         prolong: Callable[[LayerState, LayerProblem, LayerProblem], LayerState],
-        coarse: LayerState,
         problem: LayerProblem,
         solver: LinearSolver,
         state: LayerState,
     ) -> None:
-        """Go on to a finer grid, on which the problem has gone from ``coarse`` to ``state``."""
+        """Go on to a finer grid, where the fully loaded problem is in a state.
+
+        What the neighbours remember differs from what that state does by as much as on the grid
+        before.
+        """
         if self.failure:
             return
         finer = [vary(problem) for vary in self._vary]
         each = zip(self.states, self.problems, finer, strict=True)
-        carried = [prolong(mine, before, after) for mine, before, after in each]
-        beside = prolong(coarse, self.problems[0], problem)
-        self.problems = finer
-        self._equilibrate(solver, state, beside, carried)
-        self._beside = state
-
-    def _equilibrate(
-        self,
-        solver: LinearSolver,
-        state: LayerState,
-        beside: LayerState,
-        before: Sequence[LayerState],
-    ) -> None:
-        """Bring all into equilibrium at a state, from what they were when it was ``beside`` them.
-
-        The problem itself, with its own reference slip, comes first, and the others start from it.
-        """
-        states: list[LayerState] = []
-        try:
-            for problem, mine in zip(self.problems, before, strict=True):
-                trial = (
-                    _shifted(states[0], before[0], mine)
-                    if states
-                    else _shifted(state, beside, mine)
+        own, *others = (
+            _slip_laid(after, prolong(_slip_laid(before, mine), before, after))
+            for mine, before, after in each
+        )
+        base = _slip_laid(problem, state)
+        trials = [base]
+        for mine in others:
+            trial = _shifted(base, own, mine)
+            trial.slip, trial.anchor = (
+                here + there - before
+                for here, there, before in (
+                    (base.slip, mine.slip, own.slip),
+                    (base.anchor, mine.anchor, own.anchor),
                 )
-                now, _ = equilibrate(problem, trial, solver, _TOLERANCES, near=True)
-                states.append(now.state)
+            )
+            trials.append(trial)
+        self.problems = finer
+        self._equilibrate(solver, trials)
+
+    def _equilibrate(self, solver: LinearSolver, trials: Sequence[LayerState]) -> None:
+        """Bring all into equilibrium, from where each is expected.
+
+        The problem itself comes first; where that is off, so are the others.
+        """
+        first, *others = self.problems
+        try:
+            now, _ = equilibrate(first, trials[0], solver, _TOLERANCES, near=True)
+            shifted = [_shifted(now.state, trials[0], trial) for trial in trials[1:]]
+            system = assemble(first, now, solver)
+            near = [
+                equilibrate_by(system, problem, trial, solver, _TOLERANCES)
+                for problem, trial in zip(others, shifted, strict=True)
+            ]
+            self.states = [now.state]
+            for problem, trial, state in zip(others, shifted, near, strict=True):
+                if state is None:  # its own tangents lead further
+                    state = equilibrate(problem, trial, solver, _TOLERANCES, near=True)[0].state
+                self.states.append(state)
         except NotConverged as failure:
-            at = f"{state.load:.0%} of the load"
+            at = f"{trials[0].load:.0%} of the load"
             self.stop(f"a slightly different layer stopped at {at}: {failure}")
-            return
-        if state.load < 1.0:
-            for problem, mine in zip(self.problems, states, strict=True):
-                remember_slip(problem, mine)
-        self.states = states
 
 
 def _shifted(state: LayerState, before: LayerState, mine: LayerState) -> LayerState:
@@ -120,3 +143,9 @@ def _shifted(state: LayerState, before: LayerState, mine: LayerState) -> LayerSt
         anchor=mine.anchor.copy(),
         anchor_load=mine.anchor_load,
     )
+
+
+def _slip_laid(problem: LayerProblem, state: LayerState) -> LayerState:
+    """Return a state whose reference slip is that of the state itself."""
+    slip = slip_coordinate(problem, state)
+    return replace(state, slip=slip, anchor=state.lateral(), anchor_load=state.load)

@@ -20,7 +20,7 @@ from .iteration import Direction, NotConverged, Tolerances, iterate
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .side_flow import SideFlow
 from .stencil import threads_for
-from .system import NewtonSystem, assemble
+from .system import NewtonSystem, RightHandSide, assemble
 
 Array = NDArray[np.float64]
 
@@ -44,8 +44,12 @@ class LinearSolver(Protocol):
         """
         ...
 
+    def prepare(self, system: NewtonSystem) -> None:
+        """Make ready for solutions of a system whose planes have all been stored."""
+        ...
+
     def solve(
-        self, system: NewtonSystem, tolerance: float
+        self, rhs: RightHandSide, tolerance: float
     ) -> tuple[NDArray[np.floating], NDArray[np.floating], int]:
         """Return the step (du in contact coordinates, dp) and the number of iterations.
 
@@ -56,8 +60,8 @@ class LinearSolver(Protocol):
 
 #: Pressure, in shear moduli, above which contact forces no longer tell how large errors may be.
 _PRESSURE = 4.0
-
-
+#: Steps by the tangent of another state, and the share of the imbalance that each may leave.
+_CHORDS, _NEARER = 6, 0.5
 #: Least damping of a step that otherwise fails, in shear moduli per thickness squared.
 _DAMPING = 30.0
 
@@ -171,10 +175,22 @@ def _newton_step(
     problem: LayerProblem, now: Balance, solver: LinearSolver, tolerance: float, damping: float
 ) -> Direction[Balance]:
     """Return where fractions of a Newton step lead."""
-    state, drag = now.state, now.drag
-    viscosity = 0.0 if drag is None else drag.viscosity
-    system = assemble(problem, state, now, solver, viscosity + damping)
-    du, dp, krylov = solver.solve(system, tolerance)
+    viscosity = 0.0 if now.drag is None else now.drag.viscosity
+    system = assemble(problem, now, solver, viscosity + damping)
+    return _direction(problem, now, system, solver, tolerance)
+
+
+def _direction(
+    problem: LayerProblem,
+    now: Balance,
+    system: NewtonSystem,
+    solver: LinearSolver,
+    tolerance: float,
+) -> Direction[Balance]:
+    """Return where fractions of a step lead that undoes an imbalance by a tangent."""
+    state = now.state
+    rhs = system.right_hand_side(problem, now)
+    du, dp, krylov = solver.solve(rhs, tolerance)
     if not (np.isfinite(du).all() and np.isfinite(dp).all()):
         raise NotConverged("the linear system could not be solved")
     step = system.to_cartesian(du)
@@ -191,7 +207,7 @@ def _newton_step(
         )
         turned = now.direction + fraction * turn
         turned /= np.maximum(1.0, np.sqrt((turned**2).sum(1, keepdims=True)))
-        return balance(problem, trial, turned, drag)
+        return balance(problem, trial, turned, now.drag)
 
     return Direction(follow, krylov)
 
@@ -229,3 +245,35 @@ def equilibrate(
         first = None if near else friction_direction(state.slip)
         start = balance(problem, state, first, drag)
         return iterate(start, step, tolerances, least, on_iteration)
+
+
+def equilibrate_by(
+    system: NewtonSystem,
+    problem: LayerProblem,
+    state: LayerState,
+    solver: LinearSolver,
+    tolerances: Tolerances,
+) -> LayerState | None:
+    """Bring a state into equilibrium by the tangent of another one, which must be very near.
+
+    Nothing is assembled: a step costs a linear solution alone. The system must be the one last
+    assembled for the solver.
+
+    Returns
+    -------
+    LayerState or None
+        None where the steps do not lead there quickly.
+    """
+    with threads_for(problem.grid.node_shape):
+        now = balance(problem, state)
+        for _ in range(_CHORDS):
+            after = _direction(problem, now, system, solver, tolerances.linear).follow(1.0)
+            nearer = after.imbalance < _NEARER * now.imbalance
+            now = after
+            if now.min_jacobian <= 0:
+                return None
+            if now.force_error < tolerances.force and now.volume_error < tolerances.volume:
+                return now.state
+            if not nearer:
+                return None
+    return None

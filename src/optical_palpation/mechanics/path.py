@@ -178,7 +178,7 @@ def follow(
             remember_slip(problem, now.state)
         path.advance(now.state, count)
         if neighbours:
-            neighbours.load(solver, now.state)
+            neighbours.load(now.state)
         if count <= control.easy:
             step = min(control.largest, 1.5 * step)
     return path.state, path.record

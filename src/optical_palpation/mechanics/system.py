@@ -13,7 +13,7 @@ from optical_palpation.parallel import in_parallel
 
 from .contact import ContactLinearisation
 from .lanes import FAST
-from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
+from .problem import SAMPLE, WINDOW, LayerProblem
 from .side_flow import SideFlow
 from .stencil import constrain
 
@@ -25,8 +25,24 @@ Vector = NDArray[np.floating]
 
 
 @dataclass
+class RightHandSide:
+    """What a state leaves out of balance, as the right-hand side of a linearised step.
+
+    ``displacement`` (3, nz + 1, ny + 1, nx + 1) and ``volume`` (nz, ny, nx) are the right-hand
+    sides of the free unknowns, beyond the ``prescribed`` step of both faces (face, 3, ny + 1,
+    nx + 1): that of the others, and where the search for those of stiff contact springs begins.
+    ``force`` are the internal forces of the state, mN.
+    """
+
+    displacement: Vector
+    volume: Vector
+    prescribed: Array
+    force: Array
+
+
+@dataclass
 class NewtonSystem:
-    """The linear system of a Newton step in contact coordinates.
+    """The tangent of a state in contact coordinates.
 
     On the sample side the vertical displacement is written u_z = d + h_x u_x + h_y u_y, so that
     contact prescribes the single unknown d. With A the tangent at fixed pressure, B = dv/du and V
@@ -36,29 +52,53 @@ class NewtonSystem:
         B^T du - C dp         = -volume_residual,   C = V / K + S
 
     with S that of ``flow``. ``stencil`` holds A + gamma B V^-1 B^T as the linear solver stores it,
-    with the rows and columns of constrained unknowns cleared (their diagonal too); ``rhs`` and
-    ``volume_rhs`` the right-hand sides of
+    with the rows and columns of constrained unknowns cleared (their diagonal too), of
 
-        (A + gamma B V^-1 B^T) du + B (1 - gamma V^-1 C) dp = rhs
-        B^T du - C dp                                       = volume_rhs
+        (A + gamma B V^-1 B^T) du + B (1 - gamma V^-1 C) dp = rhs.displacement
+        B^T du - C dp                                       = rhs.volume.
 
-    for the free unknowns, beyond the ``prescribed`` step of both faces (face, 3, ny + 1, nx + 1):
-    that of the others, and where the search for those of stiff contact springs begins. All are in
-    the solver's precision: only residuals need more.
+    ``vertical_rows`` [face, y, neighbour, column, x] are the rows that give the contact forces,
+    ``face_columns`` {(face, plane): [y, 3 dy + dx, row, column, x]} the columns, in the planes next
+    to the faces, of what these may have prescribed: d, or all three where glued. All are in the
+    solver's precision: only residuals need more.
     """
 
     stencil: Any
     divergence: Vector
     contact: ContactLinearisation
     free: NDArray[np.bool_]
-    prescribed: Array
-    rhs: Vector
-    volume_rhs: Vector
     volume: Array
     flow: SideFlow | None
     bulk_modulus: float
     gamma: float
     vertical_rows: Vector
+    face_columns: dict[tuple[int, int], Vector]
+
+    def right_hand_side(self, problem: LayerProblem, now: Balance) -> RightHandSide:
+        """Return what the step must undo: of the state of this tangent or of one near it.
+
+        The state, of a problem that may differ slightly, has the balance ``now``.
+        """
+        dtype = self.divergence.dtype
+        load, prescribed = self.contact.to_undo(problem, now.contact, now.state.normal_force)
+        residual = now.force.copy()
+        for face, k in ((WINDOW, 0), (SAMPLE, -1)):
+            residual[:2, k] += now.contact.row[face] * now.force[2, k] + now.contact.traction[face]
+        if problem.edges == "free":
+            residual[:, *problem.grid.side_nodes] += now.contact.sides.force
+        residual[2, [0, -1]] -= load
+        for (face, k), columns in self.face_columns.items():
+            for c in range(-columns.shape[3], 0):
+                if prescribed[face, c].any():
+                    residual[:, k] += _column_product(columns[:, :, :, c], prescribed[face, c])
+        residual += self.pressure_force(
+            (self.gamma / self.volume * now.volume_residual).astype(dtype)
+        )
+        residual[~self.free] = 0.0
+        out = RightHandSide(-residual.astype(dtype), now.volume_residual, prescribed, now.force)
+        du = self.with_prescribed(np.zeros(self.free.shape, dtype), out)
+        out.volume = -now.volume_residual.astype(dtype) - self.volume_change(du)
+        return out
 
     def volume_change(self, du: Vector) -> Vector:
         """B^T du: volume change of each element, mm^3, for du in contact coordinates."""
@@ -77,9 +117,9 @@ class NewtonSystem:
         scatter_divergence(self.divergence, dp, out)
         return self.combine_rows(out)
 
-    def with_prescribed(self, du: Vector) -> Vector:
+    def with_prescribed(self, du: Vector, rhs: RightHandSide) -> Vector:
         """Put the prescribed step into du (in place)."""
-        du[:, [0, -1]] += np.moveaxis(self.prescribed, 0, 1).astype(du.dtype)
+        du[:, [0, -1]] += np.moveaxis(rhs.prescribed, 0, 1).astype(du.dtype)
         return du
 
     def to_cartesian(self, du: Vector) -> Vector:
@@ -108,13 +148,9 @@ class NewtonSystem:
 
 
 def assemble(
-    problem: LayerProblem,
-    state: LayerState,
-    now: Balance,
-    solver: LinearSolver,
-    damping: float = 0.0,
+    problem: LayerProblem, now: Balance, solver: LinearSolver, damping: float = 0.0
 ) -> NewtonSystem:
-    """Assemble the Newton system at ``state``, which has the balance ``now``, for a linear solver.
+    """Assemble the tangent of the state that has the balance ``now``, for a linear solver.
 
     ``damping``, kPa / mm^2, is a resistance of each volume to being displaced by the step, in the
     tangent alone. The tangent passes through memory plane by plane of nodes, from which the solver
@@ -123,33 +159,24 @@ def assemble(
     grid, contact = problem.grid, now.contact
     nz1, ny1, nx1 = grid.node_shape
     faces = ((WINDOW, 0), (SAMPLE, nz1 - 1))
-    free, prescribed = constraints(problem, contact)
+    free = _free(problem, contact)
     divergence = np.empty((*grid.shape[:2], 24, grid.shape[2]), solver.dtype)
-    residual = now.force.copy()
-    volume_residual = now.volume_residual
     system = NewtonSystem(
         stencil=solver.stencil,
         divergence=divergence,
         contact=contact,
         free=free,
-        prescribed=prescribed,
-        rhs=residual,
-        volume_rhs=volume_residual,
         volume=now.volume_ref,
         flow=None if now.flow is None else now.flow.astype(solver.dtype),
         bulk_modulus=problem.bulk_modulus,
         gamma=solver.gamma,
         vertical_rows=np.empty((2, ny1, 27, 3, nx1), solver.dtype),
+        face_columns={},
     )
-    system.combine_rows(residual)
-    residual[:2, [0, -1]] += np.moveaxis(contact.traction, 0, 1)
-    if problem.edges == "free":
-        residual[:, *grid.side_nodes] += contact.sides.force
-    residual[2, [0, -1]] -= contact.load
     # A trace of lateral stiffness in the tangent alone takes the rigid motions out of a layer
     # that nothing holds sideways; it does not enter the residual.
     hold = 1e-6 * problem.shear_modulus * grid.spacing[0]
-    planes = problem.body.tangent_planes(state.u, state.p, solver.gamma, divergence)
+    planes = problem.body.tangent_planes(now.state.u, now.state.p, solver.gamma, divergence)
     for k, plane in enumerate(planes):
         diagonal = plane[:, 13, :, :nx1]
         if damping > 0:
@@ -176,18 +203,13 @@ def assemble(
             _add_side_stiffness(diagonal, k, grid.side_nodes, contact.sides.stiffness)
         for face, there in faces:
             dz = there - k + 1
-            for c in range(3):
-                if 0 <= dz <= 2 and prescribed[face, c].any():
-                    columns = plane[:, 9 * dz : 9 * dz + 9, c::3, :nx1]
-                    residual[:, k] += _column_product(columns, prescribed[face, c])
+            if 0 <= dz <= 2:
+                columns = plane[:, 9 * dz : 9 * dz + 9, :, :nx1].reshape(ny1, 9, 3, 3, nx1)
+                first = 0 if problem.glued[face] else 2
+                system.face_columns[face, k] = columns[:, :, :, first:].copy()
         constrain(plane, free, k)
         solver.store(k, plane)
-    penalty = (solver.gamma / now.volume_ref * volume_residual).astype(solver.dtype)
-    residual += system.pressure_force(penalty)
-    residual[~free] = 0.0
-    system.rhs = -residual.astype(solver.dtype)
-    du = system.with_prescribed(np.zeros(free.shape, solver.dtype))
-    system.volume_rhs = -volume_residual.astype(solver.dtype) - system.volume_change(du)
+    solver.prepare(system)
     return system
 
 
@@ -198,17 +220,15 @@ def _add_side_stiffness(diagonal: Vector, k: int, sides: tuple, stiffness: Array
         diagonal[sides[1][here], 3 * c + d, sides[2][here]] += stiffness[c, d, here]
 
 
-def constraints(
-    problem: LayerProblem, contact: ContactLinearisation
-) -> tuple[NDArray[np.bool_], Array]:
-    """Free degrees of freedom, and the step of both faces prescribed or sought from, mm."""
+def _free(problem: LayerProblem, contact: ContactLinearisation) -> NDArray[np.bool_]:
+    """Degrees of freedom that are not prescribed, (3, nz + 1, ny + 1, nx + 1)."""
     free = np.ones((3, *problem.grid.node_shape), bool)
     free[2, [0, -1]] = ~contact.rigid
     for face, k in ((WINDOW, 0), (SAMPLE, -1)):
         if problem.glued[face]:
             free[:, k] = False
     problem.hold_sides(free, False)
-    return free, contact.step
+    return free
 
 
 @nb.njit(cache=True)

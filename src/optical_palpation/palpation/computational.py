@@ -39,9 +39,8 @@ from optical_palpation.palpation.motion import match_sample_motion
 from optical_palpation.palpation.plausibility import check_elements, unusual
 from optical_palpation.palpation.progress import Iterations, Progress
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.palpation.rim import rim_effect
-from optical_palpation.palpation.sensitivity import sensitivities
-from optical_palpation.palpation.surface import deformed_layer, surface_maps
+from optical_palpation.palpation.sensitivity import changes, sensitivities
+from optical_palpation.palpation.surface import axial_stress_map, deformed_layer, surface_maps
 from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
@@ -197,6 +196,9 @@ def computational_stress(
     )
     check_memory(problem, solver)
 
+    neighbours = (
+        changes(problem) if input_errors is not None and input_errors.any_of_layer else None
+    )
     report = Iterations(progress)
     report.stage("preparing", 0.0)
     try:
@@ -205,6 +207,7 @@ def computational_stress(
                 problem,
                 lambda level: expected_forces(level, material),
                 solver="multigrid" if solver == "auto" else solver,
+                neighbours=neighbours,
                 on_iteration=report,
             )
     except LoadNotReached as failure:
@@ -221,10 +224,8 @@ def computational_stress(
     def quantities(problem: LayerProblem, state: LayerState) -> Quantities:
         if state is solution.state:
             return _total_forces(problem, state)[1], maps["axial_stress"].values
-        coarse = Solution(problem, state)
-        carried = deformed_layer(coarse, balance(problem, state))[1]
-        stress = surface_maps(coarse, carried, loaded, algebraic, sizes)["axial_stress"]
-        return _total_forces(problem, state)[1], stress.values
+        stress = axial_stress_map(problem, state, maps["x"].values, maps["y"].values)
+        return _total_forces(problem, state)[1], stress
 
     with limited_threads(threads):
         of_mesh = mesh_error(solution, quantities, lambda level: expected_forces(level, material))
@@ -247,10 +248,6 @@ def computational_stress(
     }
     if of_mesh is not None:
         _add_mesh_error(maps, of_mesh)
-    with limited_threads(threads):
-        of_rim = rim_effect(solution)
-    if of_rim is not None:
-        maps.attrs["force_rim_model_mN"] = of_rim
     if edge_check:
         with limited_threads(threads):
             report.stage("influence of the sides", 1.0)
@@ -260,16 +257,20 @@ def computational_stress(
         maps["edge_influence"] = influence.described()
         maps.attrs |= influence.attributes
     derivatives = None
-    if input_errors is not None and input_errors.any_of_layer:
+    if neighbours is not None and input_errors is not None:
         with limited_threads(threads):
             report.stage("sensitivities", 1.0)
             derivatives = sensitivities(
                 solution,
+                neighbours,
                 quantities,
                 lambda level: expected_forces(level, material),
                 maps["y"].values,
                 maps["x"].values,
             )
+        rim = derivatives.attrs.pop("force_rim_model_mN", None)
+        if rim is not None:
+            maps.attrs["force_rim_model_mN"] = rim
         add_error_bands(maps, derivatives, input_errors)
     maps.attrs["unusual"] = json.dumps(unusual(material, maps))
     if motion is not None:

@@ -1,4 +1,11 @@
-"""What small changes of the inputs do to the stress, the whole load path included."""
+"""What small changes of the inputs do to the stress, the whole load path included.
+
+So it is told, too, what part of the force is due to the model of the rim. Where a free side rolls
+onto window or sample, its nodes are caught before they touch, and contact at the rim is smoothed
+(``mechanics.contact``): without that, Newton's method does not get past the moment at which they
+do. Its reach, an element's height on meshes of up to ten elements through the depth, stays that of
+ten on finer ones, so that its part of the force does not vanish with the mesh.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +25,7 @@ from optical_palpation.mechanics.cascade import (
     prolong,
     solve,
 )
+from optical_palpation.mechanics.contact import rim_reach, side_contact
 from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.neighbours import Neighbours
@@ -35,15 +43,17 @@ UNITS = {
 }
 #: Changes from which derivatives are computed: so small that the solution is linear in them, so
 #: large that the tolerance of the neighbours' equilibrium does not show. Thicknesses by fractions
-#: of the layer's.
-_FRICTION, _THICKNESS = 0.005, 0.002
-#: The load path of the neighbours is followed on a grid of at most so many elements.
+#: of the layer's, the model of the rim by one of its reach.
+_FRICTION, _THICKNESS, _RIM = 0.005, 0.002, -0.1
+#: Elements of the largest grid on which the load path of the neighbours is followed.
 _PATH_ELEMENTS = 4000
 
 
 def changed(problem: LayerProblem, name: str) -> tuple[LayerProblem, float]:
     """Return a problem one of whose inputs is slightly changed, and the change."""
     imprint, grid = problem.imprint, problem.grid
+    if name == "rim_model":
+        return replace(problem, rim_model=problem.rim_model + _RIM), _RIM
     if name in ("window_friction", "sample_friction"):
         friction = list(problem.friction)
         friction[name == "sample_friction"] += _FRICTION
@@ -59,8 +69,28 @@ def changed(problem: LayerProblem, name: str) -> tuple[LayerProblem, float]:
     return replace(problem, imprint=moved, grid=thicker), step
 
 
+def changes(problem: LayerProblem) -> Neighbours:
+    """Return the problems with a slightly changed input, to be followed beside a solution."""
+    return Neighbours(
+        [partial(_changed, name=name) for name in _varied(problem)], most=_PATH_ELEMENTS
+    )
+
+
+def _varied(problem: LayerProblem) -> list[str]:
+    names = [name for name in UNITS if name != "modulus"]
+    for name, stuck in zip(("window_friction", "sample_friction"), problem.glued, strict=True):
+        if stuck:
+            names.remove(name)
+    return [*names, "rim_model"] if problem.edges == "free" else names
+
+
+def _changed(problem: LayerProblem, name: str) -> LayerProblem:
+    return changed(problem, name)[0]
+
+
 def sensitivities(
     solution: Solution,
+    neighbours: Neighbours,
     quantities: Callable[[LayerProblem, LayerState], Quantities],
     bound_guess: Callable[[LayerProblem], Array],
     y: Array,
@@ -75,6 +105,8 @@ def sensitivities(
 
     Parameters
     ----------
+    neighbours
+        The ``changes`` of the problem, which were beside it when it was solved.
     quantities
         Function that returns total force and axial stress of a solution.
     bound_guess
@@ -87,24 +119,29 @@ def sensitivities(
     xarray.Dataset
         ``force`` (mN per unit of the input) over ``input`` and ``axial_stress`` (kPa) on
         ``(input, y, x)``; the ``unit`` of each input. The attribute ``failure`` says why there is
-        only the modulus, which needs no further solution; empty where there are all.
+        only the modulus, which needs no further solution; empty where there are all. The attribute
+        ``force_rim_model_mN`` is the part of the force that is due to the model of the rim, to
+        first order, positive where that makes the layer stiffer.
     """
-    names = [name for name in UNITS if name != "modulus"]
-    glued = solution.problem.glued
-    for name, stuck in zip(("window_friction", "sample_friction"), glued, strict=True):
-        if stuck:
-            names.remove(name)
-    neighbours = Neighbours([partial(_changed, name=name) for name in names])
     _follow(solution, neighbours, bound_guess)
     force, stress = quantities(solution.problem, solution.state)
     found: dict[str, Quantities] = {"modulus": (force, stress)}
+    attributes: dict[str, str | float] = {"failure": neighbours.failure}
+    if solution.problem.edges != "free":
+        attributes["force_rim_model_mN"] = 0.0
     if not neighbours.failure:
         problems, states = neighbours.problems, neighbours.states
         here = quantities(problems[0], states[0])
         scale = force / here[0] if here[0] else 1.0
+        names = _varied(solution.problem)
         for name, problem, state in zip(names, problems[1:], states[1:], strict=True):
-            factor = scale / changed(problems[0], name)[1]
+            step = changed(problems[0], name)[1]
             there = quantities(problem, state)
+            if name == "rim_model":
+                whole = (there[0] - here[0]) / step
+                attributes["force_rim_model_mN"] = _rim_effect(solution, problems[0], whole)
+                continue
+            factor = scale / step
             found[name] = factor * (there[0] - here[0]), factor * (there[1] - here[1])
     order = [name for name in UNITS if name in found]
     per = "per unit of the input"
@@ -123,8 +160,18 @@ def sensitivities(
             "y": ("y", y, {"units": "mm"}),
             "x": ("x", x, {"units": "mm"}),
         },
-        {"failure": neighbours.failure},
+        attributes,
     )
+
+
+def _rim_effect(solution: Solution, coarser: LayerProblem, effect: float) -> float:
+    """Carry the effect of the model of the rim over from a grid, in proportion to its reach."""
+    problem = solution.problem
+    caught = side_contact(problem, solution.state).normal_force.any()
+    if not (caught or problem.rim_smoothing > 0):
+        return 0.0
+    reach, there = (rim_reach(each.grid).mean() for each in (problem, coarser))
+    return float(effect * reach / there)
 
 
 def _follow(
@@ -132,18 +179,14 @@ def _follow(
 ) -> None:
     """Follow the neighbours to the coarser grid of a solution, or to its own if it has no other."""
     problem, state = solution.coarser or (solution.problem, solution.state)
-    small = problem
-    while small.grid.n_elements > _PATH_ELEMENTS and min(small.grid.shape[1:]) >= 12:
-        small = coarsened(small)
-    try:
-        followed = solve(small, bound_guess, cascade=False, neighbours=neighbours)
-    except LoadNotReached as failure:
-        neighbours.stop(f"on {small.grid.n_elements:,} elements the layer {failure}")
-        return
-    if small is not problem:
-        linear = make_solver(problem, "multigrid")
-        neighbours.carry(prolong, followed.state, problem, linear, state)
-
-
-def _changed(problem: LayerProblem, name: str) -> LayerProblem:
-    return changed(problem, name)[0]
+    if not neighbours.begun:
+        small = problem
+        while small.grid.n_elements > neighbours.most and min(small.grid.shape[1:]) >= 12:
+            small = coarsened(small)
+        neighbours.most = small.grid.n_elements
+        try:
+            solve(small, bound_guess, cascade=False, neighbours=neighbours)
+        except LoadNotReached as failure:
+            neighbours.stop(f"on {small.grid.n_elements:,} elements the layer {failure}")
+    if not neighbours.failure and neighbours.problems[0].grid is not problem.grid:
+        neighbours.carry(prolong, problem, make_solver(problem, "multigrid"), state)

@@ -12,15 +12,46 @@ from optical_palpation.mechanics.cascade import Solution
 from optical_palpation.mechanics.contact import friction_fraction
 from optical_palpation.mechanics.faces import area_vectors
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
-from optical_palpation.mechanics.newton import Balance
-from optical_palpation.mechanics.problem import SAMPLE, WINDOW
+from optical_palpation.mechanics.newton import Balance, balance
+from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from optical_palpation.palpation.result import ContactState
 from optical_palpation.thickness.frames import layer_extent_of
 
 Array = NDArray[np.float64]
 
+#: Lateral area, as a share of the unloaded one, below which a surface counts as nearly folded.
+_FOLDED = 0.3
 #: A node slips where friction has reached this share of its bound.
 SLIP_SHARE = 0.9
+
+
+def axial_stress_map(problem: LayerProblem, state: LayerState, x: Array, y: Array) -> Array:
+    """Axial Cauchy stress on the sample side at points of the laboratory frame, (y, x), kPa.
+
+    NaN where the layer does not cover them.
+    """
+    now = balance(problem, state)
+    position = (problem.grid.nodes + state.u)[:, -1]
+    stress = problem.body.stress(state.u, state.p)
+    axial = _pressure_and_axial_stress(problem, state, now, stress)[1]
+    target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
+    reference, outside = material_points(problem.grid, position[0], position[1], target)
+    return np.where(outside, np.nan, _interpolator(problem.grid, axial)(reference))
+
+
+def _pressure_and_axial_stress(
+    problem: LayerProblem, state: LayerState, now: Balance, stress: Array
+) -> tuple[Array, Array]:
+    """Contact pressure and axial stress at the nodes of the sample side, kPa."""
+    x, y = (problem.grid.nodes + state.u)[:2, -1]
+    _, hx, hy = problem.imprint.evaluate(x, y, 1.0)[:3]
+    areas = area_vectors((problem.grid.nodes + state.u)[:, -1])
+    closed = state.touching(problem)[SAMPLE]
+    pressure = np.where(closed, state.normal_force[SAMPLE] / areas[2], 0.0)
+    if problem.glued[SAMPLE]:  # what holds it has a direction of its own
+        pressure = -(now.force[:, -1] * areas).sum(0) / (areas**2).sum(0)
+    normal = np.stack([-hx, -hy, np.ones_like(hx)]) / np.sqrt(1 + hx**2 + hy**2)
+    return pressure, surface_axial_stress(stress, normal, pressure)
 
 
 def deformed_layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[str, Array]]:
@@ -41,16 +72,10 @@ def deformed_layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[s
         WINDOW: force[:, 0] / grid.surface_areas(position[:, 0]),
         SAMPLE: force[:, -1] / area,
     }
-    _, hx, hy = problem.imprint.evaluate(position[0, -1], position[1, -1], 1.0)[:3]
-    slope = np.sqrt(1 + hx**2 + hy**2)
-    areas = area_vectors(position[:, -1])
-    pressure = np.where(touching[SAMPLE], state.normal_force[SAMPLE] / areas[2], 0.0)
-    if problem.glued[SAMPLE]:  # what holds it has a direction of its own
-        pressure = -(force[:, -1] * areas).sum(0) / (areas**2).sum(0)
-    normal = np.stack([-hx, -hy, np.ones_like(hx)]) / slope
+    pressure, axial = _pressure_and_axial_stress(problem, state, now, stress)
     surface = {
         "contact_pressure": pressure,
-        "axial_stress": surface_axial_stress(stress, normal, pressure),
+        "axial_stress": axial,
         **{f"traction_{c}": traction[SAMPLE][n] for n, c in enumerate("xyz")},
         "contact_state": contact[SAMPLE],
         "window_contact_state": contact[WINDOW],
@@ -166,17 +191,39 @@ def material_points(
     tuple
         Points (..., 2) of the unloaded layer, and which of `target` (...) the layer does not cover.
     """
+    axes = (grid.y, grid.x)
     moved = [surface_field(grid, y - grid.y[:, None]), surface_field(grid, x - grid.x)]
     lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
-    reference = target
+    shape, target = target.shape[:-1], target.reshape(-1, 2)
+    inverse = _inverse_gradient(axes, (y, x), np.clip(target, lower, upper))
+    reference = target.copy()
+    left = np.arange(len(target))
     for _ in range(40):
-        before = reference
-        reference = target - np.stack([by(np.clip(before, lower, upper)) for by in moved], -1)
-        if (np.abs(reference - before) < 1e-8 * (upper - lower)).all():
+        here = reference[left]
+        off = target[left] - here
+        off -= np.stack([by(np.clip(here, lower, upper)) for by in moved], -1)
+        reference[left] = here + np.einsum("ncd,nd->nc", inverse[left], off)
+        left = left[(np.abs(off) > 1e-8 * (upper - lower)).any(-1)]
+        if not left.size:
             break
     tolerance = 1e-6 * (upper - lower)
     outside = ((reference < lower - tolerance) | (reference > upper + tolerance)).any(-1)
-    return np.clip(reference, lower, upper), outside
+    return np.clip(reference, lower, upper).reshape(*shape, 2), outside.reshape(shape)
+
+
+def _inverse_gradient(axes: tuple[Array, Array], moved: tuple[Array, Array], at: Array) -> Array:
+    """Inverse of the lateral deformation gradient at points (n, 2), (n, 2, 2), y before x.
+
+    The identity where the surface is nearly folded: as a guess it is slow, but leads nowhere wrong.
+    """
+    from scipy.interpolate import RegularGridInterpolator  # slow to load
+
+    rows = [np.stack(list(np.gradient(field, *axes)), -1) for field in moved]
+    gradient = np.stack(rows, -2)
+    at_points = RegularGridInterpolator(axes, gradient)(at)
+    steep = np.linalg.det(at_points) < _FOLDED
+    at_points[steep] = np.eye(2)
+    return np.linalg.inv(at_points)
 
 
 def surface_maps(
