@@ -25,12 +25,15 @@ class Tolerances:
         Newton iterations allowed at one load.
     linear
         Relative residual to which linear systems are solved (inexact Newton).
+    patience
+        Newton iterations in which the error must fall to three tenths.
     """
 
     force: float = 1e-6
     volume: float = 1e-7
     iterations: int = 25
     linear: float = 1e-2
+    patience: int = 12
 
 
 #: When bodies are in equilibrium.
@@ -79,8 +82,6 @@ _MEMORY = 4
 _ATTEMPTS = 6
 #: Share of its smallest volume ratio that a body must keep in a step.
 _FLATTENING = 0.3
-#: Newton iterations in which the error must fall, or a smaller load is tried.
-_STAGNATION = 12
 
 
 def iterate(
@@ -120,7 +121,8 @@ def iterate(
             on_iteration(iteration, now, krylov)
         errors.append(now.force_error)
         imbalances.append(now.imbalance)
-        if iteration >= _STAGNATION and errors[-1] > 0.3 * errors[-_STAGNATION]:
+        patience = tolerances.patience
+        if iteration >= patience and errors[-1] > 0.3 * errors[-1 - patience]:
             raise NotConverged("Newton's method stagnates")
         if iteration > 0 and _met(now, tolerances):
             return now, iteration

@@ -196,7 +196,9 @@ def _direction(
     step = system.to_cartesian(du)
     change = system.contact_forces(now.force, du, dp) - state.normal_force
     slip_step = np.stack([step[:2, 0], step[:2, -1]]).astype(float) / problem.slip_length
-    turn = direction_step(slip_coordinate(problem, state), now.direction, slip_step)
+    w = slip_coordinate(problem, state)
+    turn = direction_step(w, now.direction, slip_step)
+    turning = (w * (w + slip_step)).sum(1) < 0
 
     def follow(fraction: float) -> Balance:
         trial = replace(
@@ -207,6 +209,8 @@ def _direction(
         )
         turned = now.direction + fraction * turn
         turned /= np.maximum(1.0, np.sqrt((turned**2).sum(1, keepdims=True)))
+        if fraction < 1.0:
+            turned = np.where(turning[:, None], 0.0, turned)
         return balance(problem, trial, turned, now.drag)
 
     return Direction(follow, krylov)

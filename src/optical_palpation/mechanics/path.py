@@ -27,6 +27,8 @@ Report = Callable[[float, int, Balance, int], None]
 _FOLLOWED, _CARRIED = 250, 80
 #: Increment of the load below which drag takes over.
 _SNAP = 0.02
+#: Snaps after which the drag stays until the layer is fully loaded: there are always more.
+_SNAPS = 1
 #: Viscosity in shear moduli per thickness squared: at first, the least and the most. It is halved
 #: after an easy step (a quarter of it is left once the layer is fully loaded), and four times as
 #: large, with half the increment, after a failure.
@@ -150,6 +152,7 @@ def follow(
     control = control or StepControl()
     path = Path(start, start, report)
     step = control.first
+    snaps = 0
     while path.state.load < 1.0:
         steps = np.ceil((1.0 - path.state.load) / step - 1e-9)  # equal ones, not a small last one
         load = 1.0 if steps == 1 else path.state.load + (1.0 - path.state.load) / steps
@@ -171,7 +174,17 @@ def follow(
                     neighbours.stop(
                         f"at {path.state.load:.0%} of the load the layer snaps or slides"
                     )
-                _settle(problem, solver, tolerances, intermediate, path, step, control.easy)
+                snaps += 1
+                _settle(
+                    problem,
+                    solver,
+                    tolerances,
+                    intermediate,
+                    path,
+                    step,
+                    control.easy,
+                    stay=snaps > _SNAPS,
+                )
                 step = _SNAP
             continue
         if load < 1.0:
@@ -208,6 +221,7 @@ def _settle(
     path: Path,
     step: float,
     easy: int,
+    stay: bool = False,
 ) -> None:
     """Go on along a path against drag: to full load and rest, or to next to no drag before that.
 
@@ -241,7 +255,7 @@ def _settle(
             viscosity = max(_LEAST, (0.5 if load < 1.0 else 0.25) * viscosity)
         if load < 1.0:
             bound = path.state.normal_force
-            if share < _REST[1]:
+            if share < _REST[1] and not stay:
                 return
             continue
         bound = 0.5 * (bound + path.state.normal_force)

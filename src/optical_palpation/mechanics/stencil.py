@@ -12,6 +12,7 @@ lanes: ``[component, z + 2, y + 2, width + 2]``.
 # ruff: noqa: E741 -- l is the lane
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
@@ -73,9 +74,11 @@ def empty_stencil(node_shape: tuple[int, int, int]) -> Stencil:
 @contextmanager
 def threads_for(node_shape: tuple[int, ...]) -> Iterator[None]:
     """Leave small grids to one thread."""
+    if math.prod(node_shape) >= _NODES_OF_ONE_THREAD:
+        yield
+        return
     allowed = nb.get_num_threads()
-    if np.prod(node_shape) < _NODES_OF_ONE_THREAD:
-        nb.set_num_threads(1)
+    nb.set_num_threads(1)
     try:
         yield
     finally:
