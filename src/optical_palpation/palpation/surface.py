@@ -36,7 +36,7 @@ def axial_stress_map(problem: LayerProblem, state: LayerState, x: Array, y: Arra
     axial = _pressure_and_axial_stress(problem, state, now, stress)[1]
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
     reference, outside = material_points(problem.grid, position[0], position[1], target)
-    return np.where(outside, np.nan, _interpolator(problem.grid, axial)(reference))
+    return np.where(outside, np.nan, surface_field(problem.grid, axial)(reference))
 
 
 def _pressure_and_axial_stress(
