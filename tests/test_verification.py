@@ -21,7 +21,11 @@ from optical_palpation.reproduce.verification.closed_forms import (
 from optical_palpation.reproduce.verification.homogeneous import compressed, manufactured_error
 from optical_palpation.reproduce.verification.indentation import indentation_force
 from optical_palpation.reproduce.verification.layers import MATERIAL, MU
-from optical_palpation.reproduce.verification.slabs import apparent_modulus, hill
+from optical_palpation.reproduce.verification.slabs import (
+    apparent_modulus,
+    hill,
+    slope_of_pressure,
+)
 from optical_palpation.reproduce.verification.tangential import sideways
 from optical_palpation.reproduce.verification.waves import response
 
@@ -113,6 +117,11 @@ def test_friction_raises_the_force_of_a_slab_as_virtual_work_says():
     # another way to the mean distance from the middle of a square
     points = (np.arange(400) + 0.5) / 400 - 0.5
     assert_allclose(mean_radius(2.0), 2 * np.hypot(*np.meshgrid(points, points)).mean(), rtol=1e-4)
+
+
+@pytest.mark.parametrize("friction", [(0.1, 0.05), (0.0, 0.12)])
+def test_the_pressure_of_a_strip_that_slips_falls_as_von_karman_says(friction):
+    assert_allclose(slope_of_pressure(friction, 4), 1, rtol=0.015)
 
 
 def test_the_stick_zone_of_a_moved_paraboloid_is_that_of_cattaneo_and_mindlin():

@@ -27,6 +27,14 @@ def reproduce(
             help="Folder of third-party data; parts that need them are else left out.",
         ),
     ] = None,
+    references: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder of the references by independent codes, tests/data/references of the "
+            "repository; parts that need them are else left out.",
+        ),
+    ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Coarsest grids: shows only that everything runs.")
     ] = False,
@@ -45,9 +53,10 @@ def reproduce(
 ) -> None:
     """Make the validation page (the paper's figures and ours) and the verification page.
 
-    The second compares the solver with closed forms. Parts that the folder holds already are kept,
-    so that an interrupted run goes on. With --check the exit status is 5 if a number is not within
-    the tolerance of a fresh run; parts without their data are named and left out.
+    The second compares the solver with closed forms and an independent code. Parts that the folder
+    holds already are kept, so that an interrupted run goes on. With --check the exit status is 5 if
+    a number is not within the tolerance of a fresh run; parts without their data are named and left
+    out.
     """
     from optical_palpation.errors import ConvergenceError
     from optical_palpation.reproduce import PAGES, check_pages
@@ -63,6 +72,7 @@ def reproduce(
                 PAGES,
                 only=only or (),
                 data=data,
+                references=references,
                 quick=quick,
                 threads=threads,
                 tell=lambda part, share, what: progress(Progress(part, share, None, what)),
@@ -82,6 +92,7 @@ def reproduce(
             output,
             only=only or (),
             data=data,
+            references=references,
             quick=quick,
             again=again,
             threads=threads,

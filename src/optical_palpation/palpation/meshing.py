@@ -74,12 +74,12 @@ def layer_problem(
         friction=(window, sample),
         edges="roller" if edges == "roller" else "free",
         slip_length=slip_length,
-        rim_smoothing=_rim_smoothing(depth) if edges == "free" else 0.0,
+        rim_smoothing=rim_smoothing(depth) if edges == "free" else 0.0,
         glued=glued,
     )
 
 
-def _rim_smoothing(depth: Array) -> float:
+def rim_smoothing(depth: Array) -> float:
     """Smoothing of contact at the rim; elements higher than the rim is wide need none."""
     return RIM_SMOOTHING * float(np.clip((RIM - depth[1]) / (0.5 * RIM), 0.0, 1.0))
 

@@ -45,6 +45,7 @@ def check_pages(
     *,
     only: Sequence[str] = (),
     data: str | Path | None = None,
+    references: str | Path | None = None,
     quick: bool = False,
     threads: int | None = None,
     tell: Callable[[str, float, str], None] | None = None,
@@ -61,7 +62,7 @@ def check_pages(
         Folder of the pages; nothing in it is changed.
     pages
         The pages.
-    only, data, threads, tell
+    only, data, references, threads, tell
         As for :func:`~optical_palpation.reproduce.reproduce`.
     quick
         Compare with records that were made quickly.
@@ -99,6 +100,7 @@ def check_pages(
                     Path(data) if data else None,
                     partial(tell or _silent, name),
                     threads,
+                    Path(references) if references else None,
                 )
                 try:
                     run_part(name, page.chapters[name].make, setting)

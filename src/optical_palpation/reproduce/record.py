@@ -73,6 +73,9 @@ class Setting:
         Called with the share of the part that is done and what comes next.
     threads
         Number of threads, None for all.
+    references
+        Folder of what independent codes found, ``tests/data/references`` of the repository, or
+        None.
     """
 
     folder: Path
@@ -80,6 +83,7 @@ class Setting:
     data: Path | None
     tell: Callable[[float, str], None]
     threads: int | None = None
+    references: Path | None = None
 
     def third_party(self, name: str) -> Path:
         """Path of a file of the third-party data.

@@ -60,6 +60,7 @@ def reproduce(
     *,
     only: Sequence[str] = (),
     data: str | Path | None = None,
+    references: str | Path | None = None,
     quick: bool = False,
     again: bool = False,
     threads: int | None = None,
@@ -78,6 +79,9 @@ def reproduce(
         are.
     data
         Folder of third-party data; without it the parts that need them are left out.
+    references
+        Folder of the references by independent codes, as ``tests/data/references`` of the
+        repository; without it the parts that need them are left out.
     quick
         Use the coarsest grids that run at all: shows that everything runs, and nothing else.
     again
@@ -110,6 +114,8 @@ def reproduce(
         )
     if data is not None and not Path(data).is_dir():
         raise InputError(f"{data}: there is no such folder of third-party data")
+    if references is not None and not Path(references).is_dir():
+        raise InputError(f"{references}: there is no such folder of references")
     folder = Path(folder)
     written: list[Path] = []
     missing: dict[str, InputError | ConvergenceError] = {}
@@ -134,6 +140,7 @@ def reproduce(
                     Path(data) if data else None,
                     partial(tell or _silent, name),
                     threads,
+                    Path(references) if references else None,
                 )
                 setting.tell(0.0, "starts")
                 try:

@@ -1,10 +1,11 @@
-"""The verification page: the solver against closed forms."""
+"""The verification page: the solver against closed forms and an independent code."""
 
 from optical_palpation.reproduce.page import Chapter, Page
 from optical_palpation.reproduce.verification.homogeneous import compression, manufactured
 from optical_palpation.reproduce.verification.indentation import indentation
 from optical_palpation.reproduce.verification.not_yet import not_yet
 from optical_palpation.reproduce.verification.slabs import slabs
+from optical_palpation.reproduce.verification.strips import strips
 from optical_palpation.reproduce.verification.tangential import tangential
 from optical_palpation.reproduce.verification.waves import waves
 
@@ -13,11 +14,11 @@ VERIFICATION = Page(
     introduction="""\
 # Verification
 
-The solver against closed forms. Errors are those of our numbers, from a
+The solver against closed forms and an independent code. Errors are those of our numbers, from a
 coarse to a fine mesh. This page and its pictures are made by
 
 ```text
-optical-palpation reproduce --only verification --output docs
+optical-palpation reproduce --only verification --output docs --references tests/data/references
 ```
 
 and `tests/test_verification.py` checks each part on small meshes. With `--check` the same command
@@ -34,6 +35,7 @@ $K/\\mu$ = 10⁴; $h$ is its thickness, $E = 3 \\mu$.
         "indentation": Chapter("A paraboloid on thick and thin layers", indentation),
         "slabs": Chapter("Bonded and slipping slabs", slabs),
         "tangential": Chapter("Stick and slip under a tangential load", tangential),
+        "strips": Chapter("Layers with a free side: an independent code", strips),
         "not-yet": Chapter("Not yet", not_yet),
     },
 )

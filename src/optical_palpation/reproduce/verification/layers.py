@@ -15,7 +15,7 @@ from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.newton import Tolerances
 from optical_palpation.mechanics.path import StepControl
-from optical_palpation.mechanics.problem import LayerProblem
+from optical_palpation.mechanics.problem import LayerProblem, Sides
 from optical_palpation.reproduce.record import Row
 
 Array = NDArray[np.float64]
@@ -42,6 +42,7 @@ def press(
     friction: tuple[float, float] = (0.0, 0.0),
     glued: tuple[bool, bool] = (False, False),
     rollers: bool = False,
+    mirrors: Sides = (False, False, False, False),
     slip_length: float = 1e-3,
     curved_sides: bool = False,
     pressure: float,
@@ -65,6 +66,7 @@ def press(
         law,
         friction,
         edges="roller" if rollers else "free",
+        mirrors=mirrors,
         slip_length=slip_length,
         glued=glued,
         curved_sides=curved_sides,

@@ -10,20 +10,12 @@ def not_yet(setting: Setting) -> Part:
     part = Part("What belongs on this page and is not computed.")
     part.rows += [
         Row(
-            "von Karman's strip",
-            "slope of ln p across a slab that slips on both faces",
-            "sum of the friction coefficients / thickness",
-            "not computed",
-            "needs plane strain: sides are all free or all rollers. The hill of a square slab is "
-            "above",
-        ),
-        Row(
             "Code_Aster SSNV128",
             "tangential displacement of a plate on a rigid plane at five points, friction 1, um",
             "28.6, 27.2, 22.8, 19.8, 15.0",
             "not computed",
-            "needs pressure on one side, plane strain, and Poisson's ratio 0.2: a layer is loaded "
-            "by window and imprint alone, and laws have K / mu of at least 10, it has 1.33",
+            "needs pressure on one side and Poisson's ratio 0.2: a layer is loaded by window and "
+            "imprint alone, and laws have K / mu of at least 10, it has 1.33",
         ),
         Row(
             "Taylor and Papadopoulos 1991",

@@ -14,7 +14,13 @@ from optical_palpation.reproduce.verification.closed_forms import (
     block_modulus,
     mean_radius,
 )
-from optical_palpation.reproduce.verification.layers import MATERIAL, MU, press, row
+from optical_palpation.reproduce.verification.layers import (
+    MATERIAL,
+    MU,
+    contact_pressure,
+    press,
+    row,
+)
 
 Faces = Literal["one stuck", "stuck"]
 
@@ -99,6 +105,33 @@ def hill(friction: float, width: float, across: int, deep: int, strain: float = 
     return slope / (2 * friction * lever)
 
 
+def slope_of_pressure(friction: tuple[float, float], deep: int, strain: float = 0.02) -> float:
+    """Slope of ln p across a slab in plane strain that slips on both faces, over von Karman's.
+
+    Half of a slab that is ten times as wide as thick, from one thickness off the middle, where it
+    sticks, to as much off the free side. ``deep``: elements over the thickness.
+    """
+    half = 5.0
+    x = np.linspace(0.0, half, round(half * deep) + 1)
+    y = x[:2]
+    pixels = np.linspace(-half, 2 * half, 9)
+    unloaded = np.ones((9, 9))
+    solution = press(
+        LayerGrid(x, y, np.linspace(0, 1, deep + 1), np.ones((2, x.size))),
+        Imprint(pixels, pixels, unloaded, unloaded - strain),
+        friction=friction,
+        mirrors=(True, True, True, False),
+        slip_length=1e-5,
+        pressure=4 * MU * strain,
+        first_step=0.25,
+    )
+    pressure = contact_pressure(solution)[0]
+    there = (x >= 1.0) & (x <= half - 1.0)
+    moved = (x + solution.state.u[0, -1, 0])[there]
+    slope = np.polyfit(moved, np.log(pressure[there]), 1)[0]
+    return float(-slope * (1 - strain) / sum(friction))
+
+
 def slabs(setting: Setting) -> Part:
     """Gent and Lindley, four to one, and the hill of friction."""
     part = Part(
@@ -110,7 +143,9 @@ def slabs(setting: Setting) -> Part:
         "at each face a slab spreads evenly, $u_r = \\varepsilon r / 2$, and virtual work gives "
         "$F / F_0 = 1 + 2 f \\bar r / 2 h$ to first order, $\\bar r$ the mean distance from the "
         "middle, 0.3826 of the side: the mean of the hill of pressure. $K / \\mu$ = 10⁶ for the "
-        "bonded blocks."
+        "bonded blocks. In plane strain the pressure of a slab that slips on both faces falls "
+        "towards the free side as $\\ln p = -(f_1 + f_2) x / h$ (von Karman's strip, in the theory "
+        "of rolling)."
     )
     grids = ((12, 4), (20, 6)) if not setting.quick else ((8, 2), (10, 3))
     shapes = (1.25, 2.5, 5.0)
@@ -147,6 +182,16 @@ def slabs(setting: Setting) -> Part:
             "over that of first order",
             1.0,
             [hill(0.01, 10.0, *grid) for grid in grids],
+        )
+    )
+    deeps = (2, 4) if setting.quick else (4, 8)
+    part.rows.append(
+        row(
+            "von Karman 1925",
+            "slope of ln p across a strip with friction 0.1 and 0.05, over (f_1 + f_2) / h",
+            1.0,
+            [slope_of_pressure((0.1, 0.05), deep) for deep in deeps],
+            "plane strain, 2 % compressed",
         )
     )
     return part
