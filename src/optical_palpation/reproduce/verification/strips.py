@@ -253,11 +253,11 @@ def _draw(pictures: dict[str, tuple[Reference, Array]], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+    rows = (len(pictures) + 1) // 2
+    figure = Figure(figsize=(7.0, 2.4 * rows), layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, (title, (reference, ours)) in zip(
-        np.ravel(figure.subplots(2, 2)), pictures.items(), strict=False
-    ):
+    for number, (title, (reference, ours)) in enumerate(pictures.items()):
+        axes = figure.add_subplot(rows, 2, number + 1)
         middle = reference.bounds - 0.5 * reference.bounds[0]
         axes.plot(middle, reference.pressure, "k.", markersize=4)
         axes.plot(middle, ours, color="#0072B2", linewidth=1.2)
