@@ -77,7 +77,9 @@ def solve(loaded, size, given, threads):
         sample_friction=given["sample"],
         element_size=size,
         threads=threads,
-        edge_check=False,  # as the plugin does
+        mesh_check=False,  # as the plugin does
+        edge_check=False,
+        input_errors=None,
     )
 
 

@@ -64,7 +64,7 @@ def all_arrived(watch, seconds=20):
 
 
 def test_a_map_that_arrives_has_the_stress_that_run_gives(maps):
-    watch = Watch(maps / "study.toml", maps / "in", settle=0.05, pattern="*.npy", edge_check=True)
+    watch = Watch(maps / "study.toml", maps / "in", settle=0.05, pattern="*.npy", estimates=True)
     np.save(maps / "in" / "first.npy", pressed(0.03))
     (maps / "in" / "notes.txt").write_text("not a map")
     (path,) = all_arrived(watch)

@@ -48,11 +48,12 @@ def watch(
             show_default=False,
         ),
     ] = None,
-    edge_check: Annotated[
+    estimates: Annotated[
         bool,
         typer.Option(
-            "--edge-check",
-            help="Also compute how much the sides of the layer matter; takes about as long again.",
+            "--estimates",
+            help="Also estimate the errors by mesh, sides and inputs, as run does; takes up to "
+            "three times as long again.",
         ),
     ] = False,
     threads: Threads = None,
@@ -71,7 +72,7 @@ def watch(
         output,
         pattern=pattern,
         settle=settle,
-        edge_check=edge_check,
+        estimates=estimates,
         threads=threads,
     )
     counts = {"done": 0, "failed": 0, "earlier": 0}

@@ -64,6 +64,7 @@ def computational_stress(
     slip_length: float | None = None,
     solver: Literal["auto", "multigrid", "direct"] = "auto",
     threads: int | None = None,
+    mesh_check: bool = True,
     edge_check: bool = True,
     input_errors: InputErrors | None = INPUT_ERRORS,
     progress: Callable[[Progress], None] | None = None,
@@ -108,6 +109,9 @@ def computational_stress(
         ``multigrid``, ``direct`` (sparse LU, for small grids) or ``auto``.
     threads
         Number of threads; by default one for each core that the process may use.
+    mesh_check
+        Whether to solve small problems, for which no coarser grid was needed, on one to learn the
+        error of the mesh (``force_mesh_error_mN``); of larger ones it is always given.
     edge_check
         Whether to compute, on a coarse grid, how much the sides of the layer matter: the map
         ``edge_influence`` and the attributes ``edge_influence_*``.
@@ -227,8 +231,12 @@ def computational_stress(
         stress = axial_stress_map(problem, state, maps["x"].values, maps["y"].values)
         return _total_forces(problem, state)[1], stress
 
-    with limited_threads(threads):
-        of_mesh = mesh_error(solution, quantities, lambda level: expected_forces(level, material))
+    of_mesh = None
+    if mesh_check or solution.coarser is not None:
+        with limited_threads(threads):
+            of_mesh = mesh_error(
+                solution, quantities, lambda level: expected_forces(level, material)
+            )
     _check_cover(maps["axial_stress"], loaded, solution.state)
     maps.attrs = {
         **{key: value for key, value in loaded.attrs.items() if key.startswith("source")},

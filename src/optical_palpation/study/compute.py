@@ -123,7 +123,7 @@ def stress_of(
     thickness: xr.Dataset,
     progress: Callable[[Any], None] | None = None,
     *,
-    edge_check: bool = True,
+    estimates: bool = True,
 ) -> StressResult:
     """Tactile stress by the computational method, with the sample in the model if it is given.
 
@@ -133,8 +133,11 @@ def stress_of(
         Material, friction, grid and the sample.
     thickness
         As from :func:`thickness_of`.
-    progress, edge_check
+    progress
         As for :func:`~optical_palpation.palpation.computational_stress`.
+    estimates
+        Whether to estimate the errors by the mesh, the sides and the inputs, which takes longer
+        than the stress of a small grid itself. With a sample they are always estimated.
 
     Raises
     ------
@@ -172,9 +175,10 @@ def stress_of(
         sample_friction=study.friction.sample,
         slip_length=study.friction.slip_length,
         sample_motion=sample_motion(study, loaded),
-        edge_check=edge_check,
+        mesh_check=estimates,
+        edge_check=estimates,
         progress=progress,
-        input_errors=InputErrors(**study.errors.model_dump()),
+        input_errors=InputErrors(**study.errors.model_dump()) if estimates else None,
         **study.grid.model_dump(),
     )
     return _with_thickness(result, thickness)

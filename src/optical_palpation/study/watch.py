@@ -22,7 +22,7 @@ import xarray as xr
 from optical_palpation import present
 from optical_palpation.errors import InputError, OpticalPalpationError, OutputError
 from optical_palpation.files import readable_name, replacing
-from optical_palpation.palpation import computational_stress
+from optical_palpation.palpation import InputErrors, computational_stress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.tables import result_columns
 from optical_palpation.runtime import software_version
@@ -88,8 +88,9 @@ class Watch:
         Names of the files that count, as a shell would write it, ``*.oct``.
     settle
         Seconds for which a file must not change before it counts as complete.
-    edge_check
-        Whether to compute how much the sides of the layer matter, which takes about as long again.
+    estimates
+        Whether to estimate the errors by the mesh, the sides and the inputs, as ``run`` does, which
+        takes longer than the stress of a small grid itself.
     threads
         Number of threads; as the study says by default.
 
@@ -109,7 +110,7 @@ class Watch:
         *,
         pattern: str = "*",
         settle: float = 1.0,
-        edge_check: bool = False,
+        estimates: bool = False,
         threads: int | None = None,
     ) -> None:
         self._file, self._folder = Path(study), Path(folder)
@@ -123,7 +124,7 @@ class Watch:
             self.output.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"{self.output}: cannot be made ({error.strerror})") from error
-        self._settle, self._pattern, self._edge_check = settle, pattern, edge_check
+        self._settle, self._pattern, self._estimates = settle, pattern, estimates
         self._changes: dict[str, Any] = {} if threads is None else {"grid.threads": threads}
         # until a file arrives, the study file stands for it
         self._study = read_study(self._file, self._changes | self._loaded(self._file))
@@ -165,7 +166,8 @@ class Watch:
                 small, depth, study.material.make(), window_friction=study.friction.window,
                 sample_friction=study.friction.sample, element_size=(x, y, z),
                 edges=study.grid.edges, threads=study.grid.threads, progress=progress,
-                edge_check=self._edge_check,
+                mesh_check=self._estimates, edge_check=self._estimates,
+                input_errors=InputErrors() if self._estimates else None,
             )  # fmt: skip
 
     def arrived(self) -> list[Path]:
@@ -245,7 +247,7 @@ class Watch:
         check_study(study, inputs)
         thickness = thickness_of(study, found)
         algebraic_of(study, thickness)  # refuses what no layer can take
-        return stress_of(study, thickness, progress, edge_check=self._edge_check)
+        return stress_of(study, thickness, progress, estimates=self._estimates)
 
     def _check_unloaded(self, study: Study) -> None:
         source = study.unloaded

@@ -230,16 +230,16 @@ class Session:
             self._thickness = made_from, thickness_of(study, found)
         return self._thickness[1]
 
-    def solve(self, progress: Tell | None = None, *, edge_check: bool = True) -> StressResult:
+    def solve(self, progress: Tell | None = None, *, estimates: bool = True) -> StressResult:
         """Compute the stress of the study as it stands, from the unloaded layer.
 
         Parameters
         ----------
         progress
             As for :func:`~optical_palpation.study.run_study`.
-        edge_check
-            Whether to compute how much the sides of the layer matter, which takes about as long
-            again; it changes nothing else.
+        estimates
+            Whether to estimate the errors by the mesh, the sides and the inputs; it changes
+            nothing else.
 
         Raises
         ------
@@ -251,7 +251,7 @@ class Session:
         study = self.study()
         thickness = self.thickness(progress)
         algebraic_of(study, thickness)  # refuses what no layer can take, in no time
-        return stress_of(study, thickness, progress, edge_check=edge_check)
+        return stress_of(study, thickness, progress, estimates=estimates)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a study file that ``optical-palpation run`` repeats, corrections beside it.

@@ -120,7 +120,7 @@ class Solving(QGroupBox):
             changes["grid.element_size"] = size
         self._bench.session.change(changes)
 
-    def solve(self, edge_check: bool = True) -> None:
+    def solve(self, estimates: bool = True) -> None:
         """Compute the stress in the background, and show it."""
         bench = self._bench
         try:
@@ -131,7 +131,7 @@ class Solving(QGroupBox):
             return
         session = bench.session
         bench.background.run(
-            lambda tell: session.solve(tell, edge_check=edge_check), self._show_result
+            lambda tell: session.solve(tell, estimates=estimates), self._show_result
         )
 
     def _show_result(self, result: StressResult) -> None:
@@ -168,7 +168,7 @@ class Solving(QGroupBox):
 
     def _solve_if_live(self) -> None:
         if self.live.isChecked():
-            self.solve(edge_check=False)
+            self.solve(estimates=False)
 
     def _show_law(self) -> None:
         used = _LAWS[self.law.currentText()]
