@@ -35,9 +35,10 @@ _ON_THE_WAY, _COARSE = 100.0, 1000.0
 _PATH_SHARE, _PATH_ELEMENTS = 1 / 6, (3000, 16000)
 #: Elements (z, y, x) from which on a grid is made coarser along an axis.
 _HALVED = (4, 6, 6)
-#: Newton iterations in which the error of a layer carried to a finer grid must fall. Where it does
-#: not, drag gets there sooner than more of them, each of which costs a lot on a fine grid.
-_PATIENCE = 4
+#: Newton iterations in which the error of a layer carried to a finer grid must fall, and iterations
+#: of the linear solver that each may take. Where that is not enough, drag gets there sooner than
+#: more of them, each of which costs a lot on a fine grid.
+_PATIENCE, _KRYLOV = 4, 30
 #: Elements up to which an exact linear solver may take over where the iterative one gets stuck.
 _EXACT = 10_000
 
@@ -163,7 +164,7 @@ def solve(
         report = partial(on_iteration, level, 1.0) if on_iteration else None
         try:
             linear = make_solver(level, solver)
-            quickly = replace(wanted(level), patience=_PATIENCE)
+            quickly = replace(wanted(level), patience=_PATIENCE, krylov=_KRYLOV)
             now, count = equilibrate(level, state, linear, quickly, report)
         except NotConverged:
             return None

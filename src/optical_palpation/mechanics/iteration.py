@@ -27,6 +27,9 @@ class Tolerances:
         Relative residual to which linear systems are solved (inexact Newton).
     patience
         Newton iterations in which the error must fall to three tenths.
+    krylov
+        Iterations of a linear solver from which on the tangent counts as nearly singular, and
+        Newton's method is given up.
     """
 
     force: float = 1e-6
@@ -34,6 +37,7 @@ class Tolerances:
     iterations: int = 25
     linear: float = 1e-2
     patience: int = 12
+    krylov: int = 1000
 
 
 #: When bodies are in equilibrium.

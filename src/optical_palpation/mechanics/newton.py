@@ -172,12 +172,16 @@ def _force_scale(problem: LayerProblem, state: LayerState) -> float:
 
 
 def _newton_step(
-    problem: LayerProblem, now: Balance, solver: LinearSolver, tolerance: float, damping: float
+    problem: LayerProblem,
+    now: Balance,
+    solver: LinearSolver,
+    tolerances: Tolerances,
+    damping: float,
 ) -> Direction[Balance]:
     """Return where fractions of a Newton step lead."""
     viscosity = 0.0 if now.drag is None else now.drag.viscosity
     system = assemble(problem, now, solver, viscosity + damping)
-    return _direction(problem, now, system, solver, tolerance)
+    return _direction(problem, now, system, solver, tolerances)
 
 
 def _direction(
@@ -185,14 +189,16 @@ def _direction(
     now: Balance,
     system: NewtonSystem,
     solver: LinearSolver,
-    tolerance: float,
+    tolerances: Tolerances,
 ) -> Direction[Balance]:
     """Return where fractions of a step lead that undoes an imbalance by a tangent."""
     state = now.state
     rhs = system.right_hand_side(problem, now)
-    du, dp, krylov = solver.solve(rhs, tolerance)
+    du, dp, krylov = solver.solve(rhs, tolerances.linear)
     if not (np.isfinite(du).all() and np.isfinite(dp).all()):
         raise NotConverged("the linear system could not be solved")
+    if krylov >= tolerances.krylov:
+        raise NotConverged("the tangent is nearly singular")
     step = system.to_cartesian(du)
     change = system.contact_forces(now.force, du, dp) - state.normal_force
     slip_step = np.stack([step[:2, 0], step[:2, -1]]).astype(float) / problem.slip_length
@@ -243,7 +249,7 @@ def equilibrate(
     least = _DAMPING * problem.shear_modulus / float(np.median(problem.grid.thickness)) ** 2
 
     def step(now: Balance, damping: float) -> Direction[Balance]:
-        return _newton_step(problem, now, solver, tolerances.linear, damping)
+        return _newton_step(problem, now, solver, tolerances, damping)
 
     with threads_for(problem.grid.node_shape):
         first = None if near else friction_direction(state.slip)
@@ -271,7 +277,7 @@ def equilibrate_by(
     with threads_for(problem.grid.node_shape):
         now = balance(problem, state)
         for _ in range(_CHORDS):
-            after = _direction(problem, now, system, solver, tolerances.linear).follow(1.0)
+            after = _direction(problem, now, system, solver, tolerances).follow(1.0)
             nearer = after.imbalance < _NEARER * now.imbalance
             now = after
             if now.min_jacobian <= 0:
