@@ -10,11 +10,13 @@ method, on an imprint at rest and with the sample in the model; those of the for
 map its 95 % band contains, with the errors of the inputs that are taken by default or, with
 ``--exact``, with none; misfit and time. ``--flat``
 withholds the relief; with ``--loads`` the stress comes from that many loads up to the full one, and
-of a relief that is withheld it is then found.
+of a relief that is withheld it is then found. With ``--off`` the frictions, the travel, the
+thicknesses and the modulus that are stated are off at random, by the errors that the bands are for.
 """
 
 import argparse
 import time
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -95,13 +97,46 @@ def covered(maps: xr.Dataset, truth: ExperimentResult) -> float:
     return float((np.abs(here["axial_stress"] - true) < here["axial_stress_error"]).mean())
 
 
-def compared(
-    scene: Scene, size: float, finer: float, flat: bool, count: int, inputs: InputErrors | None
-) -> dict[str, float]:
+def misstated(truth: ExperimentResult, errors: InputErrors, seed: int) -> ExperimentResult:
+    """The experiment as one would describe it whose inputs are off by their errors, at random."""
+    scene, rng = truth.scene, np.random.default_rng(seed)
+
+    def off(error: float) -> float:
+        return float(error / 1.96 * rng.normal())
+
+    frictions = {
+        name: max(0.0, getattr(scene.friction, name) + off(getattr(errors, f"{name}_friction")))
+        for name in ("window", "sample", "plate")
+    }
+    law, stiffer = scene.layer.material, 1 + off(errors.modulus)
+    layer = {
+        "thickness": scene.layer.thickness + off(errors.initial_thickness),
+        "c10": stiffer * law.values["c10"],
+        "c01": stiffer * law.values["c01"],
+    }
+    sample = {"thickness": scene.sample.thickness * (1 + off(errors.sample_thickness))}
+    told = scene.model_copy(
+        update={
+            "friction": scene.friction.model_copy(update=frictions),
+            "layer": scene.layer.model_copy(update=layer),
+            "sample": scene.sample.model_copy(update=sample),
+            "compression": scene.compression * (1 + off(errors.compression)),
+        }
+    )
+    loaded = truth.maps["loaded_thickness"]
+    maps = truth.maps.assign(
+        loaded_thickness=(loaded + off(errors.thickness)).assign_attrs(loaded.attrs)
+    )
+    return replace(truth, scene=told, maps=maps)
+
+
+def compared(scene: Scene, asked: argparse.Namespace) -> dict[str, float]:
     """Compute the truth of a scene and recover it, from one load or several."""
+    size, count = asked.element_size, asked.loads
+    inputs = None if asked.exact else InputErrors()
     mesh = scene.mesh.model_copy(update={"edge_size": None})
     scene = scene.model_copy(update={"mesh": mesh, "pixel_spacing": 0.025})
-    fine = with_element_size(scene, finer)
+    fine = with_element_size(scene, asked.truth)
     travels = [scene.compression * (n + 1) / (count + 1) for n in range(1, count)]
     travels.append(scene.compression)
     truths = [run_experiment(fine.model_copy(update={"compression": travel})) for travel in travels]
@@ -118,8 +153,9 @@ def compared(
     cleaned = clean_thickness(loaded)["thickness"]
     imprint = computational_stress(cleaned, *layer, **options, edge_check=False, input_errors=None)
     start, used = time.perf_counter(), time.process_time()
+    told = [misstated(each, InputErrors(), asked.off) for each in truths] if asked.off else truths
     result = recovered_with_sample(
-        truths, element_size=size, noise=NOISE, relief_known=not flat, input_errors=inputs
+        told, element_size=size, noise=NOISE, relief_known=not asked.flat, input_errors=inputs
     )
     maps = result.maps
     row = {"time / s": time.perf_counter() - start, "cpu / s": time.process_time() - used}
@@ -156,14 +192,15 @@ def main() -> None:
     parser.add_argument("--flat", action="store_true")
     parser.add_argument("--loads", type=int, default=1, metavar="COUNT")
     parser.add_argument("--exact", action="store_true")
+    parser.add_argument("--off", type=int, default=0, metavar="SEED")
     asked = parser.parse_args()
     scenes = [random_scene(seed) for seed in range(asked.random)]
     if not scenes:
         scenes = [read_scene(name) for name in asked.scenes or SCENES]
-    rows, inputs = [], None if asked.exact else InputErrors()
+    rows = []
     for scene in scenes:
         try:
-            row = compared(scene, asked.element_size, asked.truth, asked.flat, asked.loads, inputs)
+            row = compared(scene, asked)
         except ConvergenceError as failure:
             print(f"{scene.title}: {failure}", flush=True)
             continue

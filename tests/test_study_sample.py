@@ -388,6 +388,29 @@ def test_a_study_in_python_takes_a_sample(pressed, tmp_path):
         study.with_(sample={"thickness": -1})
 
 
+def test_a_series_in_python(pressed, before, tmp_path):
+    loads = [{"map": str(before), "compression": 0.15}]
+    sample = {"thickness": 1.0, "compression": 0.25, "plate_friction": 0.3, "earlier": loads}
+    tables = {
+        "loaded": {"map": str(pressed / "loaded.nc")},
+        "unloaded": 0.5,
+        "material": op.MooneyRivlin(2.23, 0.703),
+        "friction": {"window": 0.3, "sample": 0.3},
+        "grid": 0.25,
+    }
+    study = op.Study(sample=sample, **tables)
+    saved = study.save(tmp_path / "study.toml")
+    assert saved.parameters["sample"]["earlier"][0]["map"] == str(before)
+    loads[0]["map"] = xr.load_dataset(before, engine="h5netcdf")["thickness"]
+    of_memory = op.Study(sample=sample, **tables).save(tmp_path / "other.toml")
+    assert of_memory.parameters["sample"]["earlier"][0]["map"] == "other-earlier-1.nc"
+    assert "loaded map" in describe_inputs(read_study(tmp_path / "other.toml"))
+    one = op.Study(sample=op.Sample(1.0, [0.25], 0.3), **tables)
+    assert one.parameters["sample"]["compression"] == 0.25
+    with pytest.raises(InputError, match=r'give a mapping.*"earlier"'):
+        op.Study(sample=op.Sample(1.0, (0.15, 0.25), 0.3), **tables)
+
+
 def titles(maps):
     with new_figure("double", panel_height(maps)) as figure:
         draw_panel(maps, figure)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from optical_palpation.arguments import check_instance, file_path, in_words
@@ -318,6 +319,8 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
                 'and "earlier" a list of {"map": ..., "compression": ...}'
             )
         value = {key: of for key, of in vars(value).items() if of is not None}
+        for key in {"compression", "total_force"} & value.keys():
+            value[key] = float(np.ravel(value[key])[0])
     if name == "sample" and isinstance(value, Mapping):
         whole = {key: plain(of) for key, of in value.items() if not isinstance(of, xr.DataArray)}
         if loads := whole.get("earlier"):
