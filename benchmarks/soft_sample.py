@@ -24,7 +24,7 @@ import xarray as xr
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.experiment import ExperimentResult, Scene, read_scene, run_experiment
 from optical_palpation.experiment.recovery import recovered_with_sample
-from optical_palpation.experiment.scene import with_element_size
+from optical_palpation.experiment.scene import with_compression, with_element_size
 from optical_palpation.palpation import InputErrors, computational_stress
 from optical_palpation.thickness import clean_thickness
 
@@ -139,7 +139,7 @@ def compared(scene: Scene, asked: argparse.Namespace) -> dict[str, float]:
     fine = with_element_size(scene, asked.truth)
     travels = [scene.compression * (n + 1) / (count + 1) for n in range(1, count)]
     travels.append(scene.compression)
-    truths = [run_experiment(fine.model_copy(update={"compression": travel})) for travel in travels]
+    truths = [run_experiment(with_compression(fine, travel)) for travel in travels]
     truth, friction = truths[-1], scene.friction
     exact = truth.maps["loaded_thickness"]
     noise = NOISE * np.random.default_rng(count - 1).normal(size=exact.shape)

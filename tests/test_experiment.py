@@ -9,7 +9,7 @@ import xarray as xr
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.experiment import Scene, read_scene, run_experiment, scene_names, virtual
 from optical_palpation.experiment.assembly import build
-from optical_palpation.experiment.scene import _random_field, with_element_size
+from optical_palpation.experiment.scene import _random_field, with_compression, with_element_size
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.stack import path as load_path
 from optical_palpation.mechanics.stack.problem import LAYER, at_rest
@@ -336,6 +336,29 @@ def test_bad_scene_files_are_named(tmp_path, text, message):
     with pytest.raises(InputError, match=message) as error:
         read_scene(path)
     assert str(path) in str(error.value)
+
+
+def test_other_travels_of_a_scene():
+    assert with_compression(read_scene("sinusoid"), 0.2).compression == 0.2
+    for wrong in (0.0, -0.1, np.nan):
+        with pytest.raises(InputError, match="compression must be a positive number in mm"):
+            with_compression(read_scene("sinusoid"), wrong)
+
+
+def test_the_highest_point_between_two_nodes_touches_first():
+    """Where layer and sample meet does not depend on where the nodes are."""
+    ridge = {"kind": "sinusoid", "amplitude": 0.1, "wavelength": 2.0, "phase": 36.0}
+    scene = Scene.model_validate(
+        {
+            "compression": 0.2,
+            "layer": {"size": (2.0, 2.0)},
+            "sample": {"size": (2.0, 2.0), "thickness": 1.0, "relief": (ridge,)},
+            "mesh": {"element_size": 0.5},
+        }
+    )
+    for size in (0.5, 0.2):
+        stack = build(with_element_size(scene, size))
+        assert stack.plate == pytest.approx(0.5 + 0.1 + 1.0, abs=1e-3)
 
 
 def test_unknown_scene_lists_the_known():

@@ -402,8 +402,8 @@ def test_a_series_in_python(pressed, before, tmp_path):
     saved = study.save(tmp_path / "study.toml")
     assert saved.parameters["sample"]["earlier"][0]["map"] == str(before)
     loads[0]["map"] = xr.load_dataset(before, engine="h5netcdf")["thickness"]
-    of_memory = op.Study(sample=sample, **tables).save(tmp_path / "other.toml")
-    assert of_memory.parameters["sample"]["earlier"][0]["map"] == "other-earlier-1.nc"
+    op.Study(sample=sample, **tables).save(tmp_path / "other.toml")
+    assert 'map = "other-earlier-1.nc"' in (tmp_path / "other.toml").read_text()
     assert "loaded map" in describe_inputs(read_study(tmp_path / "other.toml"))
     one = op.Study(sample=op.Sample(1.0, [0.25], 0.3), **tables)
     assert one.parameters["sample"]["compression"] == 0.25

@@ -31,6 +31,10 @@ def experiment(
             metavar="NUMBER", help="Lateral size of the elements, mm, instead of the scene's."
         ),
     ] = None,
+    compression: Annotated[
+        float | None,
+        typer.Option(metavar="NUMBER", help="Travel of the plate, mm, instead of the scene's."),
+    ] = None,
     volumes: Annotated[
         bool, typer.Option("--volumes", help="Also write OCT volumes: unloaded.npy, loaded.npy.")
     ] = False,
@@ -42,7 +46,7 @@ def experiment(
     Writes experiment.nc, experiment.png, layer.vts and sample.vts, and OCT volumes if asked for.
     """
     from optical_palpation.experiment import read_scene, run_experiment
-    from optical_palpation.experiment.scene import with_element_size
+    from optical_palpation.experiment.scene import with_compression, with_element_size
     from optical_palpation.present.experiment import (
         write_bodies,
         write_experiment,
@@ -53,6 +57,8 @@ def experiment(
     read = read_scene(scene)
     if element_size is not None:
         read = with_element_size(read, element_size)
+    if compression is not None:
+        read = with_compression(read, compression)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:

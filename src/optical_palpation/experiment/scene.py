@@ -316,6 +316,19 @@ def with_element_size(scene: Scene, element_size: float) -> Scene:
     return scene.model_copy(update={"mesh": mesh.model_copy(update=update)})
 
 
+def with_compression(scene: Scene, compression: float) -> Scene:
+    """Return the scene with another travel of the plate, mm.
+
+    Raises
+    ------
+    InputError
+        If it is not positive.
+    """
+    if not (np.isfinite(compression) and compression > 0):
+        raise InputError(f"compression must be a positive number in mm, not {compression!r}")
+    return scene.model_copy(update={"compression": compression})
+
+
 def _reasons(error: ValidationError) -> str:
     return "; ".join(
         f"{'.'.join(map(str, problem['loc'])) or 'scene'}: {problem['msg']}"

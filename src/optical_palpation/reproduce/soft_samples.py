@@ -10,7 +10,7 @@ import xarray as xr
 
 from optical_palpation.experiment import ExperimentResult, Scene, read_scene, run_experiment
 from optical_palpation.experiment.recovery import recovered_with_sample, recovery_errors
-from optical_palpation.experiment.scene import Box, with_element_size
+from optical_palpation.experiment.scene import Box, with_compression, with_element_size
 from optical_palpation.palpation import Progress, StressResult
 from optical_palpation.palpation.input_errors import INPUT_ERRORS
 from optical_palpation.reproduce.record import Part, Row, Setting
@@ -60,7 +60,7 @@ def soft_samples(setting: Setting) -> Part:
                 travel = load * scene.compression
                 report = _reporter(setting, number * share, 0.5 * share, "experiment")
                 known[key] = run_experiment(
-                    scene.model_copy(update={"compression": travel}),
+                    with_compression(scene, travel),
                     threads=setting.threads,
                     progress=report,
                 )

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law, NeoHookean
@@ -234,26 +233,20 @@ def _start(
         return None
     stress, strain = max(last.stress - first.stress, 0.1 * last.stress), shorter / sample.thickness
     level = np.log(stress / (3 * strain * law.shear_modulus))
-    gap = travels[-1] - last.indentation - last.pressure * shorter / stress
-    gap = np.where(np.isfinite(gap), gap, np.nanmedian(gap))
-    pitch = [float(np.diff(borders).mean()) for borders in (columns.y, columns.x)]
-    thickness = float(np.median(blocks.thickness(*np.meshgrid(columns.x, columns.y))))
-    relief = -gaussian_filter(gap, [0.5 * thickness / p for p in pitch], mode="nearest")
-    return Sought(np.full(columns.shape, level), travels, relief)
+    # Flat, and touched at each load: springs of their own would take much of the stiffness for it.
+    gap = min(last.shorter - last.stress * shorter / stress, 0.5 * travels[0])
+    return Sought(np.full(columns.shape, level), travels, np.full(columns.corners, -gap))
 
 
 @dataclass(frozen=True)
 class _Springs:
     """Layer and sample as if their columns were springs.
 
-    At the corners of the columns, (y, x), the ``indentation``, mm, and the ``pressure``, kPa, NaN
-    where nothing is measured; of the touching ones the medians of the ``stress``, kPa, of how much
+    Medians, over the corners of the columns that touch, of the ``stress``, kPa, of how much
     ``shorter`` the sample's columns are, mm and as a ``strain``, and of the travel that the layer
     takes, ``taken``, mm.
     """
 
-    indentation: Array
-    pressure: Array
     stress: float
     shorter: float
     strain: float
@@ -269,16 +262,12 @@ def _springs(
     loaded = measured(x.ravel(), y.ravel()).reshape(x.shape)
     stretch = np.clip(np.where(inside, loaded, np.nan) / unloaded, 0.05, 1.0)
     apart = (unloaded + height).max() - unloaded - height
-    indentation = unloaded * (1 - stretch)
-    shorter = travel - apart - indentation
+    shorter = travel - apart - unloaded * (1 - stretch)
     pressure = blocks.law.strain_adjusted_modulus(stretch - 1) * (1 - stretch)
     touching = stretch < 1.0
     strain = shorter / (blocks.sample_thickness + height)
-    middle = [
-        float(np.median(values[touching]))
-        for values in (pressure, shorter, strain, travel - shorter)
-    ]
-    return _Springs(indentation, pressure, *middle)
+    each = (pressure, shorter, strain, travel - shorter)
+    return _Springs(*(float(np.median(values[touching])) for values in each))
 
 
 def _on_imprint(

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Field = Callable[[Array, Array], Array]
 
 #: Points for each element at which the highest one is sought.
-_BETWEEN = 4
+_BETWEEN = 8
 _GROWTH_OUTSIDE = 1.3  # of the layer's elements beyond the sample
 #: Slip over which friction builds up, as a share of the layer's thickness.
 _SLIP_LENGTH = 2e-3
