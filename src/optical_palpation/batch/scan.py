@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 from optical_palpation.batch.dispatch import Outcome
 from optical_palpation.batch.reading import Scan
 from optical_palpation.errors import FolderBusyError, OpticalPalpationError
+
+if TYPE_CHECKING:
+    from optical_palpation.palpation import StressResult
 
 #: Pixels along the longer side of a thumbnail.
 _THUMBNAIL = 96
@@ -62,7 +65,7 @@ def run_scan(folder: Path, scan: Scan, threads: int | None, tell: Callable[[Any]
                         raise
                     tell(Progress("waiting for an earlier run to leave the folder", 0.0))
                     time.sleep(0.5)
-        row, thumbnail = _row(target, scan)
+        row, thumbnail = _row(done.stress(), target, scan)
     except OpticalPalpationError as error:
         message, details, kind = str(error), str(error), type(error).__name__
     except Exception as error:
@@ -136,14 +139,14 @@ def _relative(target: Path, start: Path) -> str:
         return str(target.resolve())
 
 
-def _row(folder: Path, scan: Scan) -> tuple[dict[str, Any], NDArray[np.float32]]:
+def _row(
+    result: StressResult, folder: Path, scan: Scan
+) -> tuple[dict[str, Any], NDArray[np.float32]]:
     """Entries of the table, units in the names of the columns, and the thumbnail."""
-    from optical_palpation.present import read_result
     from optical_palpation.present.profiles import on_layer
     from optical_palpation.present.tables import result_columns
     from optical_palpation.study import warnings_about
 
-    result = read_result(folder / RESULT)
     maps = on_layer(result.maps)
     record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     row: dict[str, Any] = result_columns(result)

@@ -111,7 +111,7 @@ def _run(asked: Study, thickness_only: bool, quiet: bool) -> None:
     if quiet:
         return
     if not thickness_only:
-        result = present.read_result(done.folder / "stress.nc")
+        result = done.stress()
         warnings = study.warnings_about(result)
         for line in present.summarise(result).splitlines():
             # what is a warning in a study is told once

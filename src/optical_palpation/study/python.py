@@ -16,12 +16,11 @@ from optical_palpation.errors import InputError, OutputError
 from optical_palpation.files import replacing
 from optical_palpation.material import Law
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.present import read_result
 from optical_palpation.stiffness import Sample
 from optical_palpation.study.reading import changed, make_study, plain, read_study, relocated
 from optical_palpation.study.run import run_study
 from optical_palpation.study.schema import Study as StudyFile
-from optical_palpation.study.stages import STRESS, THICKNESS
+from optical_palpation.study.stages import THICKNESS
 from optical_palpation.thickness import write_thickness_map
 
 Tell = Callable[[Any], None]
@@ -192,8 +191,7 @@ class Study:
         ConvergenceError
             If the full load is not reached.
         """
-        done = run_study(self._runnable(), progress=progress)
-        return read_result(done.folder / STRESS)
+        return run_study(self._runnable(), progress=progress).stress()
 
     def thickness(self, progress: Tell | None = None) -> xr.Dataset:
         """Find the layer and return its thickness, before any mechanics.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from optical_palpation.errors import InputError
+from optical_palpation.palpation.result import StressResult
 from optical_palpation.study.inputs import (
     Unchanged,
     facts,
@@ -19,7 +20,7 @@ from optical_palpation.study.inputs import (
 from optical_palpation.study.plausible import check_study
 from optical_palpation.study.record import Progress, make_all
 from optical_palpation.study.schema import MapInput, Study
-from optical_palpation.study.stages import THICKNESS, Stages
+from optical_palpation.study.stages import STRESS, THICKNESS, Stages
 from optical_palpation.thickness import read_corrections, read_thickness_map
 
 
@@ -40,6 +41,17 @@ class StudyResult:
     folder: Path
     files: tuple[str, ...]
     earlier: tuple[str, ...]
+    _stages: Stages = field(repr=False, compare=False)
+
+    def stress(self) -> StressResult:
+        """Return the stress as its file holds it, which is read only if it has not been already.
+
+        Raises
+        ------
+        InputError
+            If there is no such file, or it is damaged.
+        """
+        return self._stages.stress(self.folder / STRESS)
 
 
 def describe_inputs(study: Study) -> str:
@@ -120,9 +132,10 @@ def run_study(
     }
     unchanged()
     check_study(study, inputs)
-    stages = Stages(study).plan(inputs)
+    stages = Stages(study)
+    plan = stages.plan(inputs)
     until = THICKNESS if thickness_only else None
     files, earlier = make_all(
-        study.folder, study.file.name, about, stages, tell, until, check_inputs=unchanged
+        study.folder, study.file.name, about, plan, tell, until, check_inputs=unchanged
     )
-    return StudyResult(study.folder, tuple(files), tuple(earlier))
+    return StudyResult(study.folder, tuple(files), tuple(earlier), stages)

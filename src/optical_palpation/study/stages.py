@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,25 @@ class Stages:
     """Makers of the files of a study's result folder."""
 
     study: Study
+    _kept: dict[tuple[Path, int, int], StressResult] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    def stress(self, path: Path) -> StressResult:
+        """Read the stress from its file, once for all who ask for it.
+
+        Raises
+        ------
+        InputError
+            If the file is not there or damaged.
+        """
+        about = path.stat() if path.is_file() else None
+        key = (path, about.st_mtime_ns, about.st_size) if about else (path, 0, 0)
+        if key not in self._kept:
+            self._kept.clear()
+            self._kept[key] = present.read_result(path)
+        kept = self._kept[key]
+        return replace(kept, maps=kept.maps.copy())
 
     def plan(self, inputs: Mapping[str, Mapping[str, Any]]) -> list[Stage]:
         """List the stages in the order in which they are made.
@@ -88,7 +107,7 @@ class Stages:
         everything = parameters(study)
         del everything["outputs"]
         makers = {
-            kind: Stage(name, {}, [STRESS], _from_result(write), code=_SHOWING)
+            kind: Stage(name, {}, [STRESS], self._from_result(write), code=_SHOWING)
             for kind, name, write in (
                 ("panel", "stress.png", present.write_panel),
                 ("vtk", "layer.vts", present.write_vtk),
@@ -142,6 +161,15 @@ class Stages:
         thickness = xr.load_dataset(path.with_name(THICKNESS), engine="h5netcdf")
         present.write_result(stress_of(self.study, thickness, tell), path)
 
+    def _from_result(self, write: Callable[[StressResult, Path], None]) -> Make:
+        """Make a stage of a writer of results."""
+
+        def make(path: Path, tell: Tell) -> None:
+            tell(Progress(path.name, 0.0))
+            write(self.stress(path.with_name(STRESS)), path)
+
+        return make
+
     def _report(self, path: Path, tell: Tell) -> None:
         from optical_palpation.present.report import write_report
 
@@ -154,7 +182,7 @@ class Stages:
                 layers[side] = xr.Dataset(
                     {"thickness": thickness[f"{name}_thickness"], "filled": thickness[filled]}
                 )
-        result = present.read_result(path.with_name(STRESS))
+        result = self.stress(path.with_name(STRESS))
         with ExitStack() as opened:
             volumes = {}
             for side, source in by_side(self.study).items():
@@ -173,16 +201,6 @@ class Stages:
                 warnings=warnings_about(result),
                 result_file=STRESS,
             )
-
-
-def _from_result(write: Callable[[StressResult, Path], None]) -> Make:
-    """Make a stage of a writer of results."""
-
-    def make(path: Path, tell: Tell) -> None:
-        tell(Progress(path.name, 0.0))
-        write(present.read_result(path.with_name(STRESS)), path)
-
-    return make
 
 
 def warnings_about(result: StressResult) -> list[str]:
