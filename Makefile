@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-quick lint docs pictures package clean
+.PHONY: demo test test-quick lint docs pictures protocol package clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -37,6 +37,10 @@ docs: $(VENV)/.installed-test
 pictures: $(VENV)/.installed-test
 	$(BIN)/python docs/pictures.py
 	xvfb-run -a -s "-screen 0 1600x1000x24" $(BIN)/python -W ignore benchmarks/viewer_pictures.py docs/viewer
+
+# The numbers of docs/protocol.md, made anew.
+protocol: $(VENV)/.installed-test
+	$(BIN)/python docs/protocol.py
 
 package: $(VENV)/.installed-test
 	.ci/package
