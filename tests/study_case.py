@@ -11,7 +11,17 @@ Y, X = np.meshgrid(0.03 * np.arange(40), 0.03 * np.arange(48), indexing="ij")
 UNLOADED = 0.4 + 0.01 * X
 LOADED = UNLOADED - 0.05 - 0.04 * np.exp(-((X - 0.9) ** 2 + (Y - 0.7) ** 2) / 0.1)
 
-STUDY = """
+LAYER = """
+[material]
+c10 = 2.23
+c01 = 0.703
+
+[friction]
+window = 0.15
+sample = 0.05
+"""
+
+STUDY = f"""
 [unloaded]
 volume = "unloaded.npy"
 
@@ -20,20 +30,27 @@ volume = "loaded.npy"
 
 [volumes]
 axes = "yzx"
-spacing = { z = 0.0029, y = 0.03, x = 0.03 }
+spacing = {{ z = 0.0029, y = 0.03, x = 0.03 }}
 scale = "linear"
-
-[material]
-c10 = 2.23
-c01 = 0.703
-
-[friction]
-window = 0.15
-sample = 0.05
-
+{LAYER}
 [grid]
 element_size = [0.2, 0.2, 0.1]
 threads = 1
+"""
+
+
+def map_study(loaded: str, rest: str = "") -> str:
+    """Text of a study of a map on a layer of 0.5 mm, on coarse elements."""
+    return f"""
+[unloaded]
+thickness = 0.5
+
+[loaded]
+{loaded}
+{LAYER}
+[grid]
+element_size = 0.25
+{rest}
 """
 
 

@@ -25,23 +25,9 @@ from optical_palpation.errors import ConvergenceError, InputError, OpticalPalpat
 from optical_palpation.friction import calibration_curves
 from optical_palpation.present import read_result
 from optical_palpation.study import read_study, run_study
+from study_case import map_study
 
-STUDY = """
-[unloaded]
-thickness = 0.5
-[loaded]
-map = "0.npz"
-[material]
-c10 = 2.23
-c01 = 0.703
-[friction]
-window = 0.15
-sample = 0.05
-[grid]
-element_size = 0.25
-[outputs]
-write = []
-"""
+STUDY = map_study('map = "0.npz"', "[outputs]\nwrite = []")
 REGIONS = "name,x_mm,y_mm\nbump,0.5,0.5\nbump,1,0.5\nbump,1,1\nbump,0.5,1\n"
 
 

@@ -268,6 +268,7 @@ def test_command(coarse, tmp_path, monkeypatch, run):
     """With a worker on this machine, of a region of a folder that also holds something else."""
     monkeypatch.chdir(tmp_path)
     values = relief()
+    values[30:32, 40:42] = np.nan
     np.savez("m.npz", L1=values.values, x=values["x"].values, y=values["y"].values)
     coarse.save("whole.nc")
     (tmp_path / "field-tiles").mkdir()
@@ -283,6 +284,7 @@ def test_command(coarse, tmp_path, monkeypatch, run):
     assert "4 of 4" in err
     maps = read_result("field.nc").maps
     assert_allclose(maps["x"].values[[0, -1]], [0.3, 1.5])
+    assert 0 < int(maps["filled"].sum()) < 10
     assert bool(np.isfinite(maps["axial_stress"]).all())
     assert [path.name for path in (tmp_path / "field-tiles").iterdir()] == ["mine.txt"]
     for options, told in (

@@ -15,28 +15,9 @@ import xarray as xr
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.study import read_study, run_study
 from optical_palpation.study.watch import TABLE, Watch
-from study_case import STUDY, make_study, make_volumes
+from study_case import STUDY, make_study, make_volumes, map_study
 
-OF_MAPS = """
-[unloaded]
-thickness = 0.5
-
-[loaded]
-map = "first.npy"
-pixel_spacing = [0.05, 0.05]
-
-[material]
-c10 = 2.23
-c01 = 0.703
-
-[friction]
-window = 0.15
-sample = 0.05
-
-[grid]
-element_size = 0.25
-threads = 1
-"""
+OF_MAPS = map_study('map = "first.npy"\npixel_spacing = [0.05, 0.05]', "threads = 1")
 
 
 def pressed(depth):

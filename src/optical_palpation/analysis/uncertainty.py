@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from optical_palpation.analysis.force import force_balance
@@ -149,17 +150,7 @@ def propagate_uncertainty(
         bends.append(bend)
 
     contribution = xr.concat(maps, dim=xr.IndexVariable("input", list(errors)))
-    total = (contribution**2).sum("input", skipna=False) ** 0.5
-    return xr.Dataset(
-        {
-            "axial_stress": stress.assign_attrs(units="kPa"),
-            "axial_stress_error": total.assign_attrs(units="kPa"),
-            "contribution": contribution.assign_attrs(units="kPa"),
-            "force_contribution": ("input", forces, {"units": "mN"}),
-            "nonlinearity": ("input", bends, {"units": "1"}),
-        },
-        attrs={"force_mN": force, "force_error_mN": float(np.linalg.norm(forces))},
-    )
+    return _together(stress, force, contribution, np.array(forces), np.array(bends))
 
 
 def linear_uncertainty(result: StressResult, errors: Mapping[str, float]) -> xr.Dataset:
@@ -194,6 +185,17 @@ def linear_uncertainty(result: StressResult, errors: Mapping[str, float]) -> xr.
     known = known.sel(input=list(errors))
     contribution = abs(known["axial_stress"] * each).drop_vars("unit", errors="ignore")
     forces = abs(known["force"] * each).values
+    return _together(stress, force, contribution, forces, np.full(len(errors), np.nan))
+
+
+def _together(
+    stress: xr.DataArray,
+    force: float,
+    contribution: xr.DataArray,
+    forces: NDArray[np.float64],
+    bends: NDArray[np.float64],
+) -> xr.Dataset:
+    """Add the contributions of the inputs in quadrature."""
     total = (contribution**2).sum("input", skipna=False) ** 0.5
     return xr.Dataset(
         {
@@ -201,7 +203,7 @@ def linear_uncertainty(result: StressResult, errors: Mapping[str, float]) -> xr.
             "axial_stress_error": total.assign_attrs(units="kPa"),
             "contribution": contribution.assign_attrs(units="kPa"),
             "force_contribution": ("input", forces, {"units": "mN"}),
-            "nonlinearity": ("input", np.full(len(errors), np.nan), {"units": "1"}),
+            "nonlinearity": ("input", bends, {"units": "1"}),
         },
         attrs={"force_mN": force, "force_error_mN": float(np.linalg.norm(forces))},
     )

@@ -19,7 +19,7 @@ from optical_palpation.cli.law import (
     LAW_HELP,
     LawChoice,
 )
-from optical_palpation.cli.options import Quiet, Threads
+from optical_palpation.cli.options import Quiet, Threads, print_files
 
 _LAYER, _VOLUMES, _OUTPUT = "Layer and calibration", "Volumes", "Output"
 
@@ -353,8 +353,7 @@ def friction(
         return
     if estimate:
         print(_describe(estimate, curves))
-    for kind, path in wanted.items():
-        print(f"{kind}: {path}")
+    print_files(wanted)
 
 
 def _numbers(text: str) -> list[float]:

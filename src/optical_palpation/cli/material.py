@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optical_palpation.cli.law import LawChoice
-from optical_palpation.cli.options import Quiet
+from optical_palpation.cli.options import Quiet, print_files
 
 if TYPE_CHECKING:
     from optical_palpation.material import UniaxialFit
@@ -158,8 +158,7 @@ def material(
         if best.law != LawChoice.MOONEY_RIVLIN:
             options.insert(0, f"--law {best.law}")
         print(f"for the layer: {' '.join(options)}")
-    for kind, path in wanted.items():
-        print(f"{kind}: {path}")
+    print_files(wanted)
 
 
 def _describe(fit: UniaxialFit) -> str:

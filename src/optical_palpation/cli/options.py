@@ -172,6 +172,14 @@ class ThicknessFiles:
         )
 
 
+def mark_filled(result: StressResult, cleaned: xr.Dataset) -> None:
+    """Let what was filled in the loaded thickness go with a result."""
+    # The maps of the computational method lie on the nodes of its elements, not on the pixels.
+    here = {axis: result.maps[axis] for axis in "yx"}
+    result.maps["filled"] = cleaned["filled"].reindex(here, method="nearest")
+    result.maps.attrs |= cleaned.attrs
+
+
 def write_outputs(result: StressResult, wanted: Mapping[str, Path], quiet: bool) -> None:
     """Write a result to files by their kinds, and print what it says and where they are."""
     from optical_palpation.present import summarise

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from optical_palpation.cli.options import Quiet
+from optical_palpation.cli.options import Quiet, print_files
 
 if TYPE_CHECKING:
     from optical_palpation.palpation import StressResult
@@ -129,9 +129,7 @@ def regions(
     if quiet:
         return
     print(table_in_words(table))
-    for kind, path in wanted.items():
-        if path:
-            print(f"{kind}: {path}")
+    print_files(wanted)
 
 
 def compare(
@@ -179,9 +177,7 @@ def compare(
     if quiet:
         return
     print(comparison_in_words(found))
-    for kind, path in wanted.items():
-        if path:
-            print(f"{kind}: {path}")
+    print_files(wanted)
 
 
 def report(

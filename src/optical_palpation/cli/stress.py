@@ -35,6 +35,7 @@ from optical_palpation.cli.options import (
     Variable,
     element_size_of,
     is_number,
+    mark_filled,
     numbers_of,
     write_outputs,
 )
@@ -411,10 +412,7 @@ def stress(
                 input_errors=errors,
                 progress=progress,
             )
-    # The maps of the computational method lie on the nodes of its elements, not on the pixels.
-    here = {axis: result.maps[axis] for axis in "yx"}
-    result.maps["filled"] = cleaned["filled"].reindex(here, method="nearest")
-    result.maps.attrs |= cleaned.attrs
+    mark_filled(result, cleaned)
     if not isinstance(initial, float):
         result.maps.attrs["initial_thickness_input"] = initial.attrs["source"]
         result.maps.attrs["initial_thickness_input_sha256"] = initial.attrs["source_sha256"]

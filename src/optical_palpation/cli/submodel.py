@@ -25,6 +25,7 @@ from optical_palpation.cli.options import (
     Variable,
     Workers,
     element_size_of,
+    mark_filled,
     write_outputs,
 )
 from optical_palpation.cli.progress import ProgressDisplay
@@ -124,7 +125,8 @@ def submodel(
     wanted = {"result": output} | ({"picture": plot} if plot else {})
     present.check_outputs(wanted, [result, *files.paths])
     coarse = present.read_result(result)
-    loaded, initial = files.loaded()["thickness"], files.initial()
+    cleaned, initial = files.loaded(), files.initial()
+    loaded = cleaned["thickness"]
     settings: dict[str, Any] = {
         "element_size": sizes,
         "margin": margin,
@@ -136,6 +138,7 @@ def submodel(
             part = submodel_stress(
                 coarse, loaded, initial, region, threads=threads, progress=progress, **settings
             )
+        mark_filled(part, cleaned)
         write_outputs(part, wanted, quiet)
         return
     from optical_palpation.batch.field import field_stress, remove_tiles
@@ -155,6 +158,7 @@ def submodel(
             progress=display,
             **settings,
         )
+    mark_filled(field, cleaned)
     write_outputs(field, wanted, quiet)
     if "tiles_failed" in field.maps.attrs:
         if not quiet:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from optical_palpation.cli.options import Quiet
+from optical_palpation.cli.options import Quiet, Untrusted, print_files
 from optical_palpation.cli.progress import ProgressDisplay
 
 
@@ -84,10 +84,7 @@ def thickness(
         typer.Option(metavar="FILE", help="Text file of anchor points and excluded regions."),
     ] = None,
     method: Annotated[Method, typer.Option(help="How boundaries are found.")] = Method.SURFACE,
-    untrusted: Annotated[
-        bool,
-        typer.Option("--untrusted", help="Read HDF5 files in a separate process first."),
-    ] = False,
+    untrusted: Untrusted = False,
     quiet: Quiet = False,
 ) -> None:
     """Find the layer in an OCT volume and write its thickness, quality and boundaries."""
@@ -130,8 +127,7 @@ def thickness(
         f"\nfilled pixels: {found.attrs['filled_share']:.2%}"
         f"\nmedian quality: {float(found['quality'].median()):.2f}"
     )
-    for kind, path in wanted.items():
-        print(f"{kind}: {path}")
+    print_files(wanted)
 
 
 def _number(window: str) -> str | float:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from optical_palpation.cli.options import Quiet, Threads
+from optical_palpation.cli.options import Quiet, Threads, print_files
 from optical_palpation.cli.progress import ProgressDisplay
 from optical_palpation.errors import InputError
 
@@ -91,7 +91,7 @@ def uncertainty(
     from optical_palpation.palpation.threads import limited_threads
     from optical_palpation.present.uncertainty_figure import write_uncertainty_figure
     from optical_palpation.present.uncertainty_file import write_uncertainty
-    from optical_palpation.study.inputs import sample_motion
+    from optical_palpation.study.compute import solver_settings
 
     if not any((window_friction, sample_friction, modulus, thickness, thickness_noise)):
         raise typer.BadParameter("all errors are zero: give at least one")
@@ -105,12 +105,12 @@ def uncertainty(
     present.check_outputs({k: path for k, path in wanted.items() if path is not None}, [file])
     with limited_threads(threads), ProgressDisplay(quiet) as progress:
         done = study.run_study(asked, progress=progress)
-        nominal = present.read_result(done.folder / "stress.nc")
-        grid = asked.grid.model_dump()
-        if grid.pop("accuracy") is not None:  # all on the mesh that was chosen
-            grid["element_size"] = nominal.maps.attrs["chosen_element_size_mm"]
+        nominal = done.stress()
         measured = xr.load_dataset(done.folder / "thickness.nc", engine="h5netcdf")
         loaded = measured["loaded_thickness"]
+        settings = solver_settings(asked, loaded)
+        if settings.pop("accuracy") is not None:  # all on the mesh that was chosen
+            settings["element_size"] = nominal.maps.attrs["chosen_element_size_mm"]
         noise = None
         if thickness_noise:
             pixel = float(loaded["x"][1] - loaded["x"][0])
@@ -119,18 +119,14 @@ def uncertainty(
             loaded,
             measured["initial_thickness"],
             asked.material.make(),
-            window_friction=asked.friction.window,
-            sample_friction=asked.friction.sample,
             window_friction_error=window_friction,
             sample_friction_error=sample_friction,
             modulus_error=modulus,
             thickness_error=thickness,
             thickness_noise=noise,
             nominal=nominal,
-            slip_length=asked.friction.slip_length,
             progress=progress,
-            sample_motion=sample_motion(asked, loaded),
-            **grid,
+            **settings,
         )
     output = output or done.folder / "uncertainty.nc"
     plot = plot or done.folder / "uncertainty.png"
@@ -151,4 +147,4 @@ def uncertainty(
         f"axial stress on average {stress:.3g} ± {float(errors['axial_stress_error'].mean()):.2g}"
         " kPa"
     )
-    print(f"result: {output}\npicture: {plot}")
+    print_files({"result": output, "picture": plot})

@@ -171,17 +171,37 @@ def stress_of(
         loaded,
         thickness["initial_thickness"],
         study.material.make(),
-        window_friction=study.friction.window,
-        sample_friction=study.friction.sample,
-        slip_length=study.friction.slip_length,
-        sample_motion=sample_motion(study, loaded),
         mesh_check=estimates,
         edge_check=estimates,
         progress=progress,
         input_errors=InputErrors(**study.errors.model_dump()) if estimates else None,
-        **study.grid.model_dump(),
+        **solver_settings(study, loaded),
     )
     return _with_thickness(result, thickness)
+
+
+def solver_settings(study: Study, loaded: xr.DataArray) -> dict[str, Any]:
+    """Friction, motion of the sample and grid of a study, as ``computational_stress`` takes them.
+
+    Parameters
+    ----------
+    study
+        The study.
+    loaded
+        Loaded thickness, mm, on whose pixels the motion of the sample is wanted.
+
+    Raises
+    ------
+    InputError
+        If the motion of the sample cannot be used.
+    """
+    return {
+        "window_friction": study.friction.window,
+        "sample_friction": study.friction.sample,
+        "slip_length": study.friction.slip_length,
+        "sample_motion": sample_motion(study, loaded),
+        **study.grid.model_dump(),
+    }
 
 
 def _with_thickness(result: StressResult, thickness: xr.Dataset) -> StressResult:

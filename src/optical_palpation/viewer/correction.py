@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from qtpy.QtWidgets import QComboBox, QFileDialog, QFormLayout, QGroupBox, QHBoxLayout, QPushButton
+from qtpy.QtWidgets import QComboBox, QFileDialog, QFormLayout, QGroupBox, QPushButton
 
 from optical_palpation.errors import OpticalPalpationError
 from optical_palpation.thickness import Corrections, read_corrections, write_corrections
+from optical_palpation.viewer.buttons import button_row
 from optical_palpation.viewer.layers import (
     COLOURS,
     anchor_layer,
@@ -31,25 +32,16 @@ class Correction(QGroupBox):
         self.boundary.currentTextChanged.connect(self._choose)
         form.addRow("volume", self.side)
         form.addRow("boundary", self.boundary)
-        row = QHBoxLayout()
-        for text, tip, call in (
+        row = button_row(
             ("Set anchors", "click on a B-scan where the boundary passes", self.draw_anchors),
             ("Exclude", "draw rectangles on a map where the boundary is not seen", self.exclude),
-        ):
-            button = QPushButton(text)
-            button.setToolTip(tip)
-            button.clicked.connect(call)
-            row.addWidget(button)
+        )
         form.addRow(row)
         self.again = QPushButton("Find again")
         self.again.setToolTip("only what the corrections change")
         self.again.clicked.connect(lambda: self.find_again())
         form.addRow(self.again)
-        row = QHBoxLayout()
-        for text, call in (("Load…", self._ask_to_load), ("Save…", self._ask_to_save)):
-            button = QPushButton(text)
-            button.clicked.connect(call)
-            row.addWidget(button)
+        row = button_row(("Load…", "", self._ask_to_load), ("Save…", "", self._ask_to_save))
         form.addRow("file", row)
         bench.opened.connect(self._clear)
         bench.found.connect(self._show)

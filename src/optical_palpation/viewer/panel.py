@@ -17,6 +17,7 @@ from qtpy.QtWidgets import (
 )
 
 from optical_palpation.errors import OpticalPalpationError
+from optical_palpation.viewer.buttons import button_row
 from optical_palpation.viewer.correction import Correction
 from optical_palpation.viewer.measurement import Measurement
 from optical_palpation.viewer.regions import Regions
@@ -43,11 +44,9 @@ class Panel(QWidget):
         self.regions = Regions(bench)
         inner = QWidget()
         column = QVBoxLayout(inner)
-        row = QHBoxLayout()
-        for text, call in (("Open study…", self._ask_to_open), ("Save study…", self._ask_to_save)):
-            button = QPushButton(text)
-            button.clicked.connect(call)
-            row.addWidget(button)
+        row = button_row(
+            ("Open study…", "", self._ask_to_open), ("Save study…", "", self._ask_to_save)
+        )
         column.addLayout(row)
         for part in (self.measurement, self.correction, self.solving, self.regions):
             column.addWidget(part)

@@ -11,8 +11,6 @@ from qtpy.QtWidgets import (
     QComboBox,
     QFileDialog,
     QGroupBox,
-    QHBoxLayout,
-    QPushButton,
     QTableWidget,
     QTableWidgetItem,
     QVBoxLayout,
@@ -22,6 +20,7 @@ from optical_palpation.analysis import Region, read_regions, region_statistics, 
 from optical_palpation.errors import InputError, OpticalPalpationError
 from optical_palpation.present.tables import write_table
 from optical_palpation.present.terms import is_map, term
+from optical_palpation.viewer.buttons import button_row
 from optical_palpation.viewer.layers import region_layer, regions_from
 from optical_palpation.viewer.workbench import Workbench
 
@@ -46,15 +45,10 @@ class Regions(QGroupBox):
         self.variable = QComboBox()
         self.variable.currentIndexChanged.connect(lambda _: self.update_table())
         box.addWidget(self.variable)
-        row = QHBoxLayout()
-        for text, tip, call in (
+        row = button_row(
             ("Draw", "draw rectangles, ellipses or polygons on a map", self.draw),
             ("Name", "call the chosen shapes by the text below", self.name_selected),
-        ):
-            button = QPushButton(text)
-            button.setToolTip(tip)
-            button.clicked.connect(lambda _=False, call=call: call())
-            row.addWidget(button)
+        )
         self.name = QComboBox()
         self.name.setEditable(True)
         row.addWidget(self.name)
@@ -63,17 +57,17 @@ class Regions(QGroupBox):
         self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self.table.setMinimumHeight(110)
         box.addWidget(self.table)
-        row = QHBoxLayout()
-        for text, tip, ask in (
-            ("Load…", "regions of ImageJ, napari, masks or outlines", self._ask_to_load),
-            ("Save regions…", "outlines, for 'optical-palpation regions'", self._ask_for_regions),
-            ("Save table…", "CSV", self._ask_for_table),
-        ):
-            button = QPushButton(text)
-            button.setToolTip(tip)
-            button.clicked.connect(lambda _=False, ask=ask: ask())
-            row.addWidget(button)
-        box.addLayout(row)
+        box.addLayout(
+            button_row(
+                ("Load…", "regions of ImageJ, napari, masks or outlines", self._ask_to_load),
+                (
+                    "Save regions…",
+                    "outlines, for 'optical-palpation regions'",
+                    self._ask_for_regions,
+                ),
+                ("Save table…", "CSV", self._ask_for_table),
+            )
+        )
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
         self._timer.setInterval(_WAIT)
