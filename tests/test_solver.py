@@ -1,4 +1,6 @@
-"""The fast linear solver: iterations that do not grow with the grid, steps equal to the direct."""
+"""The linear solvers, and Newton's method: iterations, steps equal to the direct, giving up."""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,8 +10,15 @@ from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.direct import DirectSolver
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
+from optical_palpation.mechanics.iteration import (
+    TOLERANCES,
+    Direction,
+    NotConverged,
+    Tolerances,
+    iterate,
+)
 from optical_palpation.mechanics.krylov import MultigridSolver, gmres
-from optical_palpation.mechanics.newton import balance
+from optical_palpation.mechanics.newton import balance, equilibrate, equilibrate_by
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.system import assemble
 
@@ -75,3 +84,48 @@ def test_a_mode_blown_up_does_not_hinder_the_others(blown_up):
     solution, iterations = gmres(operator, lambda v: v, rhs, 1e-3, 10)
     assert iterations <= 7
     assert np.linalg.norm(operator(solution) - rhs) < 1.5e-3 * np.linalg.norm(rhs)
+
+
+@pytest.mark.parametrize(("step", "arrives"), [(1e-4, True), (0.2, False)])
+def test_the_tangent_of_a_neighbour_leads_to_equilibrium_from_near_by_alone(step, arrives):
+    problem, state = pressed(10, 2)
+    solver = MultigridSolver(problem.grid, problem.shear_modulus, free_sides=True)
+    now, _ = equilibrate(problem, state, solver, TOLERANCES)
+    system = assemble(problem, now, solver)
+    moved = Imprint(
+        problem.imprint.x,
+        problem.imprint.y,
+        problem.imprint.unloaded,
+        problem.imprint.loaded - step * 0.4,
+    )
+    neighbour = replace(problem, imprint=moved)
+    wanted = Tolerances(force=1e-4, volume=1e-5)
+    found = equilibrate_by(system, neighbour, now.state, solver, wanted)
+    assert (found is not None) == arrives
+    if found is not None:
+        assert balance(neighbour, now.state).force_error > 2e-4
+        assert balance(neighbour, found).force_error < 1e-4
+
+
+@dataclass
+class Point:
+    """An iterate of which nothing counts but its error."""
+
+    force_error: float
+    volume_error: float = 0.0
+    min_jacobian: float = 1.0
+
+    @property
+    def imbalance(self):
+        return self.force_error
+
+
+def test_an_error_that_does_not_fall_is_not_waited_for():
+    seen = []
+
+    def linearise(now, damping):
+        return Direction(lambda fraction: Point(0.95 * now.force_error), 3)
+
+    with pytest.raises(NotConverged, match="stagnates"):
+        iterate(Point(1.0), linearise, Tolerances(patience=4), 1.0, lambda n, *_: seen.append(n))
+    assert seen[-1] == 4

@@ -20,7 +20,7 @@ from optical_palpation.thickness.frames import layer_extent_of
 Array = NDArray[np.float64]
 
 #: Lateral area, as a share of the unloaded one, below which a surface counts as nearly folded.
-_FOLDED = 0.3
+_FOLDED = 0.05
 #: A node slips where friction has reached this share of its bound.
 SLIP_SHARE = 0.9
 
@@ -195,14 +195,13 @@ def material_points(
     moved = [surface_field(grid, y - grid.y[:, None]), surface_field(grid, x - grid.x)]
     lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
     shape, target = target.shape[:-1], target.reshape(-1, 2)
-    inverse = _inverse_gradient(axes, (y, x), np.clip(target, lower, upper))
+    inverse = _inverse_gradient(axes, (y, x))
     reference = target.copy()
     left = np.arange(len(target))
     for _ in range(40):
-        here = reference[left]
-        off = target[left] - here
-        off -= np.stack([by(np.clip(here, lower, upper)) for by in moved], -1)
-        reference[left] = here + np.einsum("ncd,nd->nc", inverse[left], off)
+        here = np.clip(reference[left], lower, upper)
+        off = target[left] - reference[left] - np.stack([by(here) for by in moved], -1)
+        reference[left] += np.einsum("ncd,nd->nc", inverse(here), off)
         left = left[(np.abs(off) > 1e-8 * (upper - lower)).any(-1)]
         if not left.size:
             break
@@ -211,19 +210,25 @@ def material_points(
     return np.clip(reference, lower, upper).reshape(*shape, 2), outside.reshape(shape)
 
 
-def _inverse_gradient(axes: tuple[Array, Array], moved: tuple[Array, Array], at: Array) -> Array:
-    """Inverse of the lateral deformation gradient at points (n, 2), (n, 2, 2), y before x.
+def _inverse_gradient(
+    axes: tuple[Array, Array], positions: tuple[Array, Array]
+) -> Callable[[Array], Array]:
+    """Inverse of the lateral deformation gradient at points (n, 2): (n, 2, 2), y before x.
 
-    The identity where the surface is nearly folded: as a guess it is slow, but leads nowhere wrong.
+    By differences of the nodes' positions, which is near enough for a step of Newton's method; the
+    identity where the surface is nearly folded or folded.
     """
     from scipy.interpolate import RegularGridInterpolator  # slow to load
 
-    rows = [np.stack(list(np.gradient(field, *axes)), -1) for field in moved]
-    gradient = np.stack(rows, -2)
-    at_points = RegularGridInterpolator(axes, gradient)(at)
-    steep = np.linalg.det(at_points) < _FOLDED
-    at_points[steep] = np.eye(2)
-    return np.linalg.inv(at_points)
+    rows = [np.stack(list(np.gradient(field, *axes)), -1) for field in positions]
+    gradient = RegularGridInterpolator(axes, np.stack(rows, -2))
+
+    def inverse(points: Array) -> Array:
+        there = gradient(points)
+        there[np.linalg.det(there) < _FOLDED] = np.eye(2)
+        return np.linalg.inv(there)
+
+    return inverse
 
 
 def surface_maps(
