@@ -1096,13 +1096,13 @@ def test_a_link_goes_nowhere_but_beside(tmp_path):
 
 
 def test_numbers_have_the_digits_that_their_error_leaves():
-    from optical_palpation.present.report.content import _rounded
+    from optical_palpation.present.terms import rounded
 
-    assert _rounded(412.3456, 11.7) == "412 \u00b1 12"
-    assert _rounded(-7.1234, 0.0456) == "\u22127.123 \u00b1 0.046"
-    assert _rounded(0.5, 0.0999) == "0.50 \u00b1 0.10"
-    assert _rounded(238.17) == "238"
-    assert _rounded(238.17, float("nan")) == "238"
+    assert rounded(412.3456, 11.7) == "412 \u00b1 12"
+    assert rounded(-7.1234, 0.0456) == "\u22127.123 \u00b1 0.046"
+    assert rounded(0.5, 0.0999) == "0.50 \u00b1 0.10"
+    assert rounded(238.17) == "238"
+    assert rounded(238.17, float("nan")) == "238"
 
 
 def test_parameters_have_units():

@@ -1,6 +1,7 @@
 """The napari plugin with real Qt and OpenGL: dropped files, mouse, table, sliders, saved study."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import pytest
 import xarray as xr
 
 from optical_palpation.analysis import region_statistics
-from optical_palpation.study import read_study, run_study
+from optical_palpation.study import read_study, run_study, warnings_about
 from optical_palpation.thickness import read_corrections, write_thickness_map
 from optical_palpation.viewer.layers import KEY
 from optical_palpation.viewer.session import Session
@@ -164,6 +165,8 @@ def test_from_volumes_to_a_table_and_back_to_the_command(viewer, panel, study, t
     assert viewer.dims.order == (1, 0, 2)
     before = bench.session.find("loaded")
 
+    assert panel.regions.table.horizontalHeaderItem(0).text() == "mean"
+
     # an anchor on a B-scan
     panel.correction.boundary.setCurrentText("sample")
     panel.correction.draw_anchors()
@@ -198,6 +201,10 @@ def test_from_volumes_to_a_table_and_back_to_the_command(viewer, panel, study, t
     panel.solving.solve()
     wait_idle(panel)
     result = bench.result
+    said = panel.solving.outcome.text()
+    assert re.match(r"force [\d.]+ \u00b1 [\d.]+ mN, mean axial stress \u2212[\d.]+ \u00b1", said)
+    for warning in warnings_about(result):
+        assert warning in said
     shown = {layer.name: layer for layer in viewer.layers}
     stress = shown["Axial stress, computational (kPa)"]
     assert np.array_equal(stress.data, result.maps["axial_stress"].values.astype(np.float32))

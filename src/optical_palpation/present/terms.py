@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -128,3 +129,18 @@ def common_limits(
         margin = 0.05 * abs(high) or 1.0
         return low - margin, high + margin
     return low, high
+
+
+def rounded(value: Any, error: Any = None) -> str:
+    """A number to the digits that its error leaves, two of the error; three where that is unknown.
+
+    So 412.3 with an error of 11.7 is 412 +- 12.
+    """
+    value = float(value)
+    if error is None or not (np.isfinite(float(error)) and float(error) > 0):
+        return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
+    error = float(f"{float(error):.1e}")
+    places = max(0, 1 - int(np.floor(np.log10(error))))
+    return f"{value:.{places}f} \N{PLUS-MINUS SIGN} {error:.{places}f}".replace(
+        "-", "\N{MINUS SIGN}"
+    )

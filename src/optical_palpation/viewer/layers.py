@@ -27,7 +27,7 @@ from optical_palpation.volume import Volume, VolumeMetadata
 KEY = "optical_palpation"
 BOUNDARIES: tuple[Boundary, ...] = ("window", "sample")
 # As in the pictures of the boundaries.
-COLOURS = {"window": "#56B4E9", "sample": "#E69F00", "filled": "#D55E00"}
+COLOURS = {"window": "#56B4E9", "sample": "#E69F00", "filled": "#CC79A7"}
 #: B-scans from which the limits of a volume's grey scale are taken.
 _LOOKED_AT = 5
 #: Width of a boundary on a B-scan, of the width of the B-scan.

@@ -54,6 +54,7 @@ class Regions(QGroupBox):
         row.addWidget(self.name)
         box.addLayout(row)
         self.table = QTableWidget(0, len(_COLUMNS))
+        self.table.setHorizontalHeaderLabels(list(_COLUMNS.values()))
         self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self.table.setMinimumHeight(110)
         box.addWidget(self.table)

@@ -18,7 +18,9 @@ from qtpy.QtWidgets import (
 
 from optical_palpation.errors import OpticalPalpationError
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.present.terms import term
+from optical_palpation.present.summary import force_error
+from optical_palpation.present.terms import rounded, term
+from optical_palpation.study import warnings_about
 from optical_palpation.viewer.layers import map_layers, region_layer
 from optical_palpation.viewer.measurement import Measurement
 from optical_palpation.viewer.numbers import Number
@@ -147,12 +149,7 @@ class Solving(QGroupBox):
             bench.show([region_layer()])
         if first:
             bench.view_maps([term(result.maps, "axial_stress").label])
-        force = result.maps.attrs["sample_force_mN"]
-        stress = result.maps["axial_stress"]
-        self.outcome.setText(
-            f"force {force:.4g} mN, mean axial stress {float(stress.mean()):.4g} kPa, "
-            f"{stress.sizes['y']} x {stress.sizes['x']} points"
-        )
+        self.outcome.setText(_in_words(result))
         bench.solved.emit()
 
     def _forget(self, keep: Sequence[Any]) -> None:
@@ -197,3 +194,13 @@ class Solving(QGroupBox):
         self._forget(keep=())
         self.live.setChecked(live)
         self.outcome.setText("")
+
+
+def _in_words(result: StressResult) -> str:
+    """Key figures to what their error leaves, and what casts doubt on them."""
+    maps, stress = result.maps, result.maps["axial_stress"]
+    force = rounded(maps.attrs["sample_force_mN"], force_error(maps.attrs))
+    error = float(maps["axial_stress_error"].mean()) if "axial_stress_error" in maps else None
+    points = f"{stress.sizes['y']} x {stress.sizes['x']} points"
+    figures = f"force {force} mN, mean axial stress {rounded(stress.mean(), error)} kPa, {points}"
+    return "\n".join([figures, *(f"Warning: {text}" for text in warnings_about(result))])

@@ -31,6 +31,7 @@ from optical_palpation.present.terms import (
     STRESS,
     common_limits,
     is_map,
+    rounded,
     term,
 )
 
@@ -300,7 +301,7 @@ def key_figures(
     figures = []
     bands = has_bands(attrs)
     if "sample_force_mN" in attrs:
-        force = _rounded(attrs["sample_force_mN"], force_error(attrs))
+        force = rounded(attrs["sample_force_mN"], force_error(attrs))
         figures.append((f"Force on the sample{', 95 % band' * bands}", f"{force} mN"))
     names = {"computational": "axial_stress_error", "algebraic": "algebraic_axial_stress_error"}
     for method, stress in methods(result).items():
@@ -308,7 +309,7 @@ def key_figures(
         if method == "computational" and attrs.get("sample_force_mN") and not bands:
             mesh = attrs.get("force_mesh_error_mN", 0.0) / attrs["sample_force_mN"]
             error = np.hypot(error, mesh * float(stress.mean()))
-        figures.append((f"Mean stress, {method}", f"{_rounded(stress.mean(), error)} kPa"))
+        figures.append((f"Mean stress, {method}", f"{rounded(stress.mean(), error)} kPa"))
     figures += _sample_figures(maps)
     if "contact_state" in maps:  # the algebraic method computes none
         touching = float(np.mean(maps["contact_state"].values != ContactState.OPEN))
@@ -334,7 +335,7 @@ def _sample_figures(maps: xr.Dataset) -> list[tuple[str, str]]:
         modulus = float(maps["sample_youngs_modulus"].median())
         error = modulus * float(maps["sample_modulus_error"].median())
         title = "Young's modulus of the sample, median"
-        figures.append((title, f"{_rounded(modulus, error)} kPa"))
+        figures.append((title, f"{rounded(modulus, error)} kPa"))
         known = float(maps["sample_youngs_modulus"].notnull().mean())
         figures.append(("Modulus known", _percent(known)))
     if "sample_relief" in maps and maps["sample_relief"].notnull().any():
@@ -343,7 +344,7 @@ def _sample_figures(maps: xr.Dataset) -> list[tuple[str, str]]:
         said = f"{1e3 * (high - low):.2g} \N{PLUS-MINUS SIGN} {band:.1g} \N{MICRO SIGN}m"
         figures.append(("Relief of the sample, lowest to highest", said))
     if "compression_error_mm" in attrs:
-        found = _rounded(attrs["compression_mm"], attrs["compression_error_mm"])
+        found = rounded(attrs["compression_mm"], attrs["compression_error_mm"])
         figures.append(("Travel of the plate, found", f"{found} mm"))
     if "misfit_over_tolerance" in attrs:
         off = 1e3 * attrs["thickness_misfit_mm"]
@@ -398,21 +399,6 @@ def solution_rows(result: StressResult) -> list[tuple[str, str]]:
 def _number(value: Any) -> str:
     """Four digits, with the minus of print."""
     return f"{float(value):.4g}".replace("-", "\N{MINUS SIGN}")
-
-
-def _rounded(value: Any, error: Any = None) -> str:
-    """A number to the digits that its error leaves, two of the error; three where that is unknown.
-
-    So 412.3 with an error of 11.7 is 412 +- 12.
-    """
-    value = float(value)
-    if error is None or not (np.isfinite(float(error)) and float(error) > 0):
-        return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
-    error = float(f"{float(error):.1e}")
-    places = max(0, 1 - int(np.floor(np.log10(error))))
-    return f"{value:.{places}f} \N{PLUS-MINUS SIGN} {error:.{places}f}".replace(
-        "-", "\N{MINUS SIGN}"
-    )
 
 
 def _percent(share: float) -> str:
