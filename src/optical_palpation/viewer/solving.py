@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from qtpy.QtCore import QTimer
+from qtpy.QtCore import Qt, QTimer
+from qtpy.QtGui import QResizeEvent
 from qtpy.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -80,9 +81,7 @@ class Solving(QGroupBox):
         row.addWidget(self.button)
         row.addWidget(self.live)
         form.addRow(row)
-        self.outcome = QLabel()
-        self.outcome.setWordWrap(True)
-        self.outcome.setMinimumHeight(3 * self.outcome.fontMetrics().lineSpacing())
+        self.outcome = _Text()
         form.addRow(self.outcome)
         self._form = form
         self._glued: set[str] = set()  # faces that the study says are glued
@@ -194,6 +193,30 @@ class Solving(QGroupBox):
         self._forget(keep=())
         self.live.setChecked(live)
         self.outcome.setText("")
+
+
+class _Text(QLabel):
+    """A text over several lines with room for all of them, which a form does not give it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setWordWrap(True)
+        self.setAlignment(Qt.AlignmentFlag.AlignTop)
+
+    def setText(self, text: str | None) -> None:
+        """Show a text."""
+        super().setText(text)
+        self._make_room()
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:
+        """Make room for more lines where they get shorter."""
+        super().resizeEvent(event)
+        self._make_room()
+
+    def _make_room(self) -> None:
+        self.setMinimumHeight(0)  # it counts for the height that the text asks for
+        lines = 3 * self.fontMetrics().lineSpacing()
+        self.setMinimumHeight(max(lines, self.heightForWidth(self.width())))
 
 
 def _in_words(result: StressResult) -> str:
