@@ -384,12 +384,13 @@ def solved(case: Case, mesh: tuple[int, float], largest: float) -> Layer:
 def reference(name: str, largest: float) -> dict[str, Any]:
     """Everything that the file of a case says."""
     case = CASES[name]
-    forces, seconds = [], []
+    forces, seconds, counts = [], [], []
     for mesh in case.meshes:
         started = time.perf_counter()
         layer = solved(case, mesh, largest)
         seconds.append(round(time.perf_counter() - started, 1))
         forces.append(layer.force())
+        counts.append((layer.loads, layer.iterations, layer.drags))
         print(
             f"{name} {mesh}: {forces[-1]:.6g} mN/mm, {layer.space.ndof} unknowns, {layer.loads} "
             f"loads, {layer.iterations} iterations, {layer.drags} drags, {seconds[-1]} s",
@@ -425,6 +426,7 @@ def reference(name: str, largest: float) -> dict[str, Any]:
         "elements_over_thickness": [n for n, _ in case.meshes],
         "element_size_at_the_corners_mm": [c * case.thickness for _, c in case.meshes],
         "longest_load_step": largest,
+        "loads_iterations_and_steps_against_drag": counts,
         "seconds": seconds,
         "force_of_half_the_layer_mN_per_mm": forces,
         "relative_change_of_force_on_the_first_mesh_with": {
