@@ -34,7 +34,9 @@ _CASES = (
     _Case("random_tissue", "the same, relief unknown, three loads", (0.5, 0.75, 1.0), False),
 )
 #: Elements of the truth and of what is recovered, mm; and in a quick run.
-_SIZES, _QUICK = (1 / 12, 0.125), (0.4, 0.5)
+_SIZES, _QUICK = (1 / 12, 0.125), (0.4, 0.3)
+#: Scenes that elements of a quick run can follow.
+_COARSE = ("soft_stiff_columns", "random_tissue")
 
 
 def soft_samples(setting: Setting) -> Part:
@@ -47,9 +49,10 @@ def soft_samples(setting: Setting) -> Part:
         "and the frictions are known, its motion is not. Errors are those of the interior, 0.5 mm "
         "and more off the sides; bands are those of the default errors of the inputs."
     )
-    share = 1 / len(_CASES)
+    cases = [case for case in _CASES if not setting.quick or case.scene in _COARSE]
+    share = 1 / len(cases)
     known: dict[tuple[str, float], ExperimentResult] = {}
-    for number, case in enumerate(_CASES):
+    for number, case in enumerate(cases):
         scene = with_element_size(read_scene(case.scene), finer)
         mesh = scene.mesh.model_copy(update={"edge_size": None})
         scene = scene.model_copy(update={"mesh": mesh, "pixel_spacing": 0.1 * size + 0.0125})
@@ -106,16 +109,18 @@ def _rows(case: _Case, scene: Scene, truth: ExperimentResult, found: StressResul
             )
         )
     if "sample_relief" in found.maps:
-        inside = found.maps["sample_relief"].sel(x=slice(0.5, 4.5), y=slice(0.5, 4.5))
-        x, y = np.meshgrid(inside["x"], inside["y"])
-        true = sum(part.height(x, y) for part in scene.sample.relief)
-        off = (inside - true).values
+        relief, (width, height) = found.maps["sample_relief"], scene.layer.size
+        # a random relief depends on what all of the points are: here, all of the sample
+        there = np.meshgrid(relief["x"], relief["y"])
+        true = relief.copy(data=sum(part.height(*there) for part in scene.sample.relief))
+        interior = {"x": slice(0.5, width - 0.5), "y": slice(0.5, height - 0.5)}
+        off, true = (relief - true).sel(interior), true.sel(interior)
         rows.append(
             Row(
                 "Sample in the model",
                 "relief found from three loads, standard deviation of its error",
                 "0",
-                f"{1e3 * float(np.nanstd(off)):.1f} um of {1e3 * float(np.std(true)):.1f} um",
+                f"{1e3 * float(off.std()):.1f} um of {1e3 * float(true.std()):.1f} um",
             )
         )
     return rows
