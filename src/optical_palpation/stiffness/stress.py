@@ -332,13 +332,14 @@ def _check_fit(estimate: Estimate) -> None:
     def mean(values: Array) -> float:
         return float(np.sqrt(np.mean(values[inside] ** 2)))
 
+    # that of the last load counts: an early one of little contact tells little
+    indentation = mean(grid.thickness - estimate.pressed[-1].surface[2])
     count = len(estimate.pressed)
     for n, (pressed, all_misfit) in enumerate(
         zip(estimate.pressed, estimate.misfit, strict=True), start=1
     ):
         misfit, surface = np.where(inside, all_misfit, 0.0), pressed.surface
         left, off = mean(misfit / estimate.tolerance[n - 1]), mean(misfit)
-        indentation = mean(grid.thickness - surface[2])
         if left <= _NO_FIT and off <= _FAR_OFF * indentation:
             continue
         worst = np.unravel_index(int(np.abs(misfit).argmax()), misfit.shape)
