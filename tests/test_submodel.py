@@ -114,6 +114,10 @@ def nudged(part, problem, state):
         ({"region": (1.0, 1.5)}, "x0, x1, y0, y1"),
         ({"element_size": 0.1}, "no smaller than those of the coarse"),
         ({"margin": 0.01}, "at least .* four elements"),
+        (
+            {"loaded": relief().assign_attrs(layer_extent=[0.1, 2.3, 0.0, 2.4])},
+            "x 0.1 to 2.3, y 0 to 2.4 mm, that of the coarse solution x 0 to 2.4",
+        ),
         ({"loaded": relief()[::2, ::2]}, "the map that it was computed from"),
     ],
 )

@@ -16,7 +16,7 @@ from optical_palpation.mechanics.submodel import part_of, solve_part
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.computational import checked, element_sizes, outcome
 from optical_palpation.palpation.memory import check_memory
-from optical_palpation.palpation.meshing import Hold, layer_problem
+from optical_palpation.palpation.meshing import PADDING, Hold, layer_problem
 from optical_palpation.palpation.progress import Iterations, Progress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.surface import deformed_layer, surface_maps
@@ -215,6 +215,7 @@ def submodel_inputs(
     pulls = held["sample"] == "glued"
     initial = match_initial_thickness(initial_thickness, loaded, glued=pulls)
     thickness = float(initial.median())
+    _check_extent(layer_extent_of(loaded), coarse, PADDING * thickness)
     sizes = element_sizes(element_size, loaded, thickness)
     if sizes[0] * sizes[1] >= whole.grid.spacing[1] * whole.grid.spacing[2]:
         raise InputError(
@@ -226,6 +227,23 @@ def submodel_inputs(
     if not margin >= least * (1 - 1e-6) or not np.isfinite(margin):
         raise InputError(f"margin must be at least {least:g} mm, four elements, not {margin:g} mm")
     return SubmodelInputs(loaded, initial, held, sizes, margin)
+
+
+def _check_extent(
+    given: tuple[float, float, float, float], coarse: StressResult, padding: float
+) -> None:
+    """Refuse a map whose layer lies elsewhere than that of the coarse solution."""
+    assert coarse.problem is not None
+    grid = coarse.problem.grid
+    beyond = padding if coarse.maps.attrs["edges"] == "padded" else 0.0
+    own = (grid.x[0] + beyond, grid.x[-1] - beyond, grid.y[0] + beyond, grid.y[-1] - beyond)
+    if np.abs(np.subtract(given, own)).max() > 1e-3 * (own[1] - own[0]):
+        said = (" to ".join(f"{edge:.4g}" for edge in pair) for pair in (own[:2], own[2:]))
+        here = (" to ".join(f"{edge:.4g}" for edge in pair) for pair in (given[:2], given[2:]))
+        raise InputError(
+            f"the layer of the map covers x {', y '.join(here)} mm, that of the coarse solution x "
+            f"{', y '.join(said)} mm: give the same map with the same layer extent"
+        )
 
 
 _SETTINGS = ("method", "edges", "bulk_to_shear", "initial_thickness", "no_contact_share", "unusual")
