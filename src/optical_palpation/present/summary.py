@@ -74,6 +74,16 @@ def force_error(attrs: Mapping[Hashable, Any]) -> float | None:
     return float(np.hypot.reduce(known)) if known else None
 
 
+def mean_stress_error(maps: xr.Dataset) -> float | None:
+    """Error of the mean axial stress, kPa, of inputs and mesh together; None where unknown."""
+    attrs = maps.attrs
+    errors = [float(maps["axial_stress_error"].mean())] if "axial_stress_error" in maps else []
+    if not has_bands(attrs) and attrs.get("sample_force_mN") and "force_mesh_error_mN" in attrs:
+        share = attrs["force_mesh_error_mN"] / attrs["sample_force_mN"]
+        errors.append(share * float(maps["axial_stress"].mean()))
+    return float(np.hypot.reduce(np.nan_to_num(errors))) if errors else None
+
+
 def mesh_error(attrs: Mapping[Hashable, Any]) -> str:
     """Say by how much the mesh may be off, in the total force."""
     error, force = attrs["force_mesh_error_mN"], attrs["sample_force_mN"]

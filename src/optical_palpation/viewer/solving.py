@@ -19,7 +19,7 @@ from qtpy.QtWidgets import (
 
 from optical_palpation.errors import OpticalPalpationError
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.present.summary import force_error
+from optical_palpation.present.summary import force_error, mean_stress_error
 from optical_palpation.present.terms import rounded, term
 from optical_palpation.study import warnings_about
 from optical_palpation.viewer.layers import map_layers, region_layer
@@ -223,7 +223,7 @@ def _in_words(result: StressResult) -> str:
     """Key figures to what their error leaves, and what casts doubt on them."""
     maps, stress = result.maps, result.maps["axial_stress"]
     force = rounded(maps.attrs["sample_force_mN"], force_error(maps.attrs))
-    error = float(maps["axial_stress_error"].mean()) if "axial_stress_error" in maps else None
+    error = mean_stress_error(maps)
     points = f"{stress.sizes['y']} x {stress.sizes['x']} points"
     figures = f"force {force} mN, mean axial stress {rounded(stress.mean(), error)} kPa, {points}"
     return "\n".join([figures, *(f"Warning: {text}" for text in warnings_about(result))])

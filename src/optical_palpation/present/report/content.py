@@ -21,6 +21,7 @@ from optical_palpation.present.summary import (
     force_error,
     has_bands,
     input_errors,
+    mean_stress_error,
     mesh_error,
     of_series,
 )
@@ -305,10 +306,9 @@ def key_figures(
         figures.append((f"Force on the sample{', 95 % band' * bands}", f"{force} mN"))
     names = {"computational": "axial_stress_error", "algebraic": "algebraic_axial_stress_error"}
     for method, stress in methods(result).items():
-        error = float(np.nan_to_num(maps[names[method]].mean())) if names[method] in maps else 0.0
-        if method == "computational" and attrs.get("sample_force_mN") and not bands:
-            mesh = attrs.get("force_mesh_error_mN", 0.0) / attrs["sample_force_mN"]
-            error = np.hypot(error, mesh * float(stress.mean()))
+        error = mean_stress_error(maps) if method == "computational" else None
+        if error is None and names[method] in maps:
+            error = float(maps[names[method]].mean())
         figures.append((f"Mean stress, {method}", f"{rounded(stress.mean(), error)} kPa"))
     figures += _sample_figures(maps)
     if "contact_state" in maps:  # the algebraic method computes none
