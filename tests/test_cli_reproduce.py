@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import pytest
 
@@ -90,7 +91,8 @@ def test_parts_from_third_party_data(here, run, shared_data):
 
 @pytest.mark.slow
 def test_everything_quickly(here, run, shared_data):
-    status, out, _ = run("reproduce", "--output", "page", "--data", shared_data, "--quick")
+    data = ["--data", shared_data, "--references", Path(__file__).parent / "data" / "references"]
+    status, out, _ = run("reproduce", "--output", "page", *data, "--quick")
     assert (status, out) == (0, "page: page/validation.md\npage: page/verification.md\n")
     for name in ("validation.md", "verification.md"):
         page = (here / "page" / name).read_text()
@@ -105,6 +107,7 @@ def test_everything_quickly(here, run, shared_data):
     [
         (["--only", "figure-9"], "figure-9"),
         (["--data", "absent"], "absent"),
+        (["--references", "absent"], "absent"),
         (["--threads", "0"], "--threads"),
     ],
 )
