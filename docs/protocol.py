@@ -18,6 +18,8 @@ ERRORS = (
     *("--modulus", "0.02", "--thickness", "0.002"),
     *("--thickness-noise", "0.002", "--noise-correlation", "0.02", "--probes", "2"),
 )
+#: Where the layer of both samples lies, mm; their maps reach beyond it.
+LAYER = slice(0.0, 4.0)
 #: Rows of the first table: input, what it is called, and what to aim for.
 QUANTITIES = (
     ("window_friction", "friction at the window", "± 0.05"),
@@ -52,9 +54,8 @@ def main() -> None:
             results = folder / name / "results"
             found[name] = xr.load_dataset(results / "uncertainty.nc", engine="h5netcdf")
             maps = xr.load_dataset(results / "thickness.nc", engine="h5netcdf")
-            indentation[name] = 1e3 * float(
-                (maps["initial_thickness"] - maps["loaded_thickness"]).mean()
-            )
+            depth = (maps["initial_thickness"] - maps["loaded_thickness"]).sel(x=LAYER, y=LAYER)
+            indentation[name] = 1e3 * float(depth.mean())
         lines = re.search(r"cat > choices.csv <<'END'\n(.*?)END\n", text, re.S)
         assert lines is not None
         (folder / "choices.csv").write_text(lines[1])
