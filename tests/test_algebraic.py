@@ -151,8 +151,8 @@ def test_initial_map_must_cover_the_layer_but_not_the_map():
         (flat(0.4, 0.4), 0.0, "positive and finite"),
         (flat(0.4, 0.4), -0.5, "positive and finite"),
         (flat(0.4, 0.4), float("nan"), "positive and finite"),
-        (flat(0.4, 0.4), "thick", "not str 'thick'"),
-        (flat(0.4, 0.4), None, "not NoneType"),
+        (flat(0.4, 0.4), "thick", "or a map, not 'thick'"),
+        (flat(0.4, 0.4), None, "or a map, not None"),
         (flat(0.4, 0.4), flat(0.5, np.nan, 0.5), "clean_thickness"),
         (
             flat(0.4, 0.4, 0.4).where(lambda m: m.x < 0),

@@ -150,9 +150,9 @@ def stress(
     sample_relief: Annotated[
         Path | None,
         typer.Option(
-            metavar="MAP|flat",
-            help="Height of the sample's unloaded surface, mm, towards the layer. If not given it "
-            "is flat, or found from several maps.",
+            metavar="MAP",
+            help="Height of the sample's unloaded surface, mm, towards the layer, or the word flat. "
+            "If not given it is flat, or found from several maps.",
         ),
     ] = None,
     sample_size: Annotated[
