@@ -151,8 +151,8 @@ def stress(
         Path | None,
         typer.Option(
             metavar="MAP",
-            help="Height of the sample's unloaded surface, mm, towards the layer, or the word flat. "
-            "If not given it is flat, or found from several maps.",
+            help="Height of the sample's unloaded surface, mm, towards the layer, or the word "
+            "flat. If not given it is flat, or found from several maps.",
         ),
     ] = None,
     sample_size: Annotated[
