@@ -122,9 +122,8 @@ class ContactLinearisation:
         """
         c = complementarity_scale(problem)
         other = c / (c + self.spring)  # 1 - S', and 1 where rigid
-        sign = np.array([-1.0, 1.0])[
-            :, None, None
-        ]  # d is z: penetration grows with -d at the window
+        # d is z: at the window penetration grows with -d
+        sign = np.array([-1.0, 1.0])[:, None, None]
         load = np.where(self.rigid, 0.0, sign * (now.violation / other - normal_force))
         step = np.zeros((2, 3, *c.shape))
         step[:, 2] = np.where(self.stiff, sign * now.violation / c, 0.0)

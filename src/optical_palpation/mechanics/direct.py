@@ -15,7 +15,7 @@ from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
 from .factors import Factors
-from .system import NewtonSystem, RightHandSide
+from .system import NewtonSystem, RightHandSide, with_prescribed
 
 Vector = NDArray[np.floating]
 
@@ -54,7 +54,7 @@ class DirectSolver:
         if system.flow is None and system.gamma == system.bulk_modulus:  # dp follows from du
             u: Vector = _displacement(matrix, rhs.displacement)
             p: Vector = system.bulk_modulus / system.volume * (system.volume_change(u) - rhs.volume)
-            return system.with_prescribed(u, rhs), p, 1
+            return with_prescribed(u, rhs.prescribed), p, 1
         out, into = _pressure_blocks(system)
         compression = _compression(system)
         share = sp.diags_array(system.gamma / system.volume.ravel()) @ compression
@@ -63,7 +63,7 @@ class DirectSolver:
         both = sparse_solve(whole, np.concatenate([rhs.displacement.ravel(), rhs.volume.ravel()]))
         u = both[: system.free.size].reshape(system.free.shape)
         p = both[system.free.size :].reshape(system.volume.shape)
-        return system.with_prescribed(u, rhs), p, 1
+        return with_prescribed(u, rhs.prescribed), p, 1
 
 
 def _displacement(matrix: sp.csr_matrix, rhs: Vector) -> Vector:

@@ -16,7 +16,7 @@ from .grid import LayerGrid
 from .multigrid import Hierarchy
 from .schur import Lubrication, SchurComplement
 from .stencil import Stencil, halo_zeros, interior, store, subtract_product
-from .system import NewtonSystem, RightHandSide
+from .system import NewtonSystem, RightHandSide, with_prescribed
 
 Vector = NDArray[np.floating]
 
@@ -80,7 +80,7 @@ class MultigridSolver:
         interior(x, shape)[:] = self.free * system.pressure_force(np.ones_like(volume))
         compressibility = float((volume / f32(system.bulk_modulus)).sum())
         uniform = self.hierarchy.compliance(x) + compressibility
-        total = float(volume.sum())
+        total = self.total = float(volume.sum())
         # what lubrication says of that mode is not counted twice
         held = float((volume * self.lubrication.solve(volume)).sum()) / total
         self.rest = max(0.0, 1 / uniform - held / total)
@@ -97,8 +97,7 @@ class MultigridSolver:
         shape = free.shape[1:]
         x, b, r = halo_zeros(shape), halo_zeros(shape), halo_zeros(shape)
         inside, pushed, left = (interior(v, shape) for v in (x, b, r))
-        size = free.size
-        total = float(volume.sum())
+        size, total = free.size, self.total
 
         def split(v: Vector) -> tuple[Vector, Vector]:
             return v[:size].reshape(free.shape), v[size:].reshape(volume.shape)
@@ -131,7 +130,7 @@ class MultigridSolver:
         b0 = np.concatenate([rhs.displacement.ravel(), (weight * rhs.volume).ravel()])
         solution, iterations = gmres(operator, precondition, b0, tolerance, longest(b0.size))
         u, p = split(solution)
-        return system.with_prescribed(u, rhs), p, iterations
+        return with_prescribed(u, rhs.prescribed), p, iterations
 
 
 def longest(unknowns: int) -> int:

@@ -31,13 +31,11 @@ class RightHandSide:
     ``displacement`` (3, nz + 1, ny + 1, nx + 1) and ``volume`` (nz, ny, nx) are the right-hand
     sides of the free unknowns, beyond the ``prescribed`` step of both faces (face, 3, ny + 1,
     nx + 1): that of the others, and where the search for those of stiff contact springs begins.
-    ``force`` are the internal forces of the state, mN.
     """
 
     displacement: Vector
     volume: Vector
     prescribed: Array
-    force: Array
 
 
 @dataclass
@@ -95,10 +93,9 @@ class NewtonSystem:
             (self.gamma / self.volume * now.volume_residual).astype(dtype)
         )
         residual[~self.free] = 0.0
-        out = RightHandSide(-residual.astype(dtype), now.volume_residual, prescribed, now.force)
-        du = self.with_prescribed(np.zeros(self.free.shape, dtype), out)
-        out.volume = -now.volume_residual.astype(dtype) - self.volume_change(du)
-        return out
+        du = with_prescribed(np.zeros(self.free.shape, dtype), prescribed)
+        volume = -now.volume_residual.astype(dtype) - self.volume_change(du)
+        return RightHandSide(-residual.astype(dtype), volume, prescribed)
 
     def volume_change(self, du: Vector) -> Vector:
         """B^T du: volume change of each element, mm^3, for du in contact coordinates."""
@@ -116,11 +113,6 @@ class NewtonSystem:
         out = np.empty((3, *(n + 1 for n in dp.shape)), dp.dtype)
         scatter_divergence(self.divergence, dp, out)
         return self.combine_rows(out)
-
-    def with_prescribed(self, du: Vector, rhs: RightHandSide) -> Vector:
-        """Put the prescribed step into du (in place)."""
-        du[:, [0, -1]] += np.moveaxis(rhs.prescribed, 0, 1).astype(du.dtype)
-        return du
 
     def to_cartesian(self, du: Vector) -> Vector:
         """Displacement (x, y, z) of a displacement in contact coordinates."""
@@ -145,6 +137,12 @@ class NewtonSystem:
         for face, k in ((WINDOW, 0), (SAMPLE, -1)):
             force[:2, k] += self.contact.row[face].astype(force.dtype) * force[2, k]
         return force
+
+
+def with_prescribed(du: Vector, prescribed: Array) -> Vector:
+    """Put the prescribed step of both faces into du (in place)."""
+    du[:, [0, -1]] += np.moveaxis(prescribed, 0, 1).astype(du.dtype)
+    return du
 
 
 def assemble(
