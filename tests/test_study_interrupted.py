@@ -6,8 +6,10 @@ import random
 import shutil
 import signal
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.connection import wait
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,9 @@ KILLS = 20
 # while the study runs, and not while Python starts.
 CONTEXT = multiprocessing.get_context("forkserver")
 CONTEXT.set_forkserver_preload(["test_study_interrupted", "optical_palpation.study"])
+# Every start also polls the processes of the other threads, and the status of a process can be
+# read once only: the second reader finds 255.
+POLLING = threading.Lock()
 
 
 def run_study(folder: str) -> None:
@@ -29,8 +34,17 @@ def run_study(folder: str) -> None:
 
 def start(folder: Path) -> multiprocessing.process.BaseProcess:
     process = CONTEXT.Process(target=run_study, args=(str(folder),))
-    process.start()
+    with POLLING:
+        process.start()
     return process
+
+
+def finish(process: multiprocessing.process.BaseProcess) -> int | None:
+    """Wait for the end of a process; its exit status."""
+    wait([process.sentinel])
+    with POLLING:
+        process.join()
+    return process.exitcode
 
 
 def record(results: Path) -> dict:
@@ -45,9 +59,7 @@ def undisturbed(tmp_path_factory):
     make_study(folder, STUDY + '[outputs]\nwrite = ["vtk", "profiles", "report"]\n')
     for _ in range(2):
         shutil.rmtree(folder / "study-results", ignore_errors=True)
-        process = start(folder)
-        process.join()
-        assert process.exitcode == 0
+        assert finish(start(folder)) == 0
     return folder
 
 
@@ -83,13 +95,10 @@ def test_killed_at_random_moments(undisturbed, tmp_path):
             wait_for(int(stage), results)
         time.sleep(moment * seconds[int(stage)])
         process.kill()
-        process.join()
-        killed = process.exitcode == -signal.SIGKILL
+        killed = finish(process) == -signal.SIGKILL
         before = check_whole(results, expected)
 
-        process = start(folder)
-        process.join()
-        assert process.exitcode == 0
+        assert finish(start(folder)) == 0
         after = record(results)
         assert after["complete"] is True
         # What was finished was not done again: its time stamp is the old one.
