@@ -22,7 +22,7 @@ PHASES = {
     "assembly": [("system", "assemble"), ("newton", "balance")],
     "contact": [
         ("contact", "linearise"),
-        ("contact", "side_contact"),
+        ("side_contact", "side_contact"),
         ("contact", "remember_slip"),
         ("imprint", "Imprint.evaluate"),
     ],

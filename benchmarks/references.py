@@ -18,7 +18,7 @@ C10 (I1 - 3) + C01 (I2 - 3) + p (J - 1) - p^2 / 2K of the isochoric invariants. 
 towards the corners of the free side. Window and imprint press faces and free side by a penalty at
 integration points: a force N = S(stiffness x penetration) per reference length, vertical, and N
 times the slope of the imprint sideways. Friction is that of the project's documentation, N f w /
-sqrt(1 + w^2), w the slip in slip lengths (0.002 L0), carried over from load to load up to 10; it
+(1 + w^4)^(1/4), w the slip in slip lengths (0.002 L0), carried over from load to load up to 5; it
 acts on a free side that has rolled onto a face as on the face. Where Newton's method does not get
 on, load steps are halved, and then the layer is moved through honey: a drag that is withdrawn.
 
@@ -184,7 +184,8 @@ class Layer:
                 work = normal * (slope * v.Trace()[0] - v.Trace()[1] if face else v.Trace()[1])
                 if friction:
                     w, known = self._slip(u.Trace(), face), self._slip(at, face)
-                    work -= friction * normal * w / ng.sqrt(1 + known * known) * v.Trace()[0]
+                    growth = ng.sqrt(ng.sqrt(1 + known**4))
+                    work -= friction * normal * w / growth * v.Trace()[0]
                 form += (-work).Compile() * ng.ds(name, intrules=self.rules)
 
     def _hold(self) -> None:
@@ -316,7 +317,7 @@ class Layer:
         u = self.solution.components[0]
         for face, memory in enumerate(self.memory):
             w = self._slip(u, face)
-            w = ng.IfPos(w - 10, 10.0, ng.IfPos(-10 - w, -10.0, w))
+            w = ng.IfPos(w - 5, 5.0, ng.IfPos(-5 - w, -5.0, w))
             touches = ng.IfPos(self._normal(u, face)[0] - 2 * self.eps, 1.0, 0.0)
             new = ng.GridFunction(memory.space)
             new.Interpolate(touches * w, definedon=self.mesh.Boundaries(".*"))

@@ -60,10 +60,9 @@ def force(result) -> float:
     return result.maps.attrs["sample_force_mN"]
 
 
-@pytest.mark.parametrize("compression", [0.1, 0.25])
-def test_pressed_it_is_the_limit_of_great_friction(compression):
-    """Friction that never slips, over ever shorter slip lengths."""
-    loaded = thickness((1 - compression) * THICKNESS)
+def test_pressed_it_is_the_limit_of_great_friction():
+    """Friction that never slips, over ever shorter slip lengths, before the sides touch."""
+    loaded = thickness(0.9 * THICKNESS)
     rubbed = [force(solved(loaded, 2.0, 2.0, slip_length=s)) for s in (1e-3, 2.5e-4)]
     glued = force(solved(loaded))
     off = [abs(f / glued - 1) for f in rubbed]

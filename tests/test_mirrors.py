@@ -7,11 +7,11 @@ from numpy.testing import assert_allclose
 
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.cascade import solve
-from optical_palpation.mechanics.contact import side_contact
 from optical_palpation.mechanics.grid import LayerGrid, depth_positions, node_positions
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.iteration import Tolerances
 from optical_palpation.mechanics.problem import SAMPLE, LayerProblem
+from optical_palpation.mechanics.side_contact import side_contact
 from optical_palpation.palpation.meshing import expected_forces
 
 LAW = MooneyRivlin(2.23, 0.703)
@@ -20,7 +20,7 @@ LAW = MooneyRivlin(2.23, 0.703)
 def pressed(x, y, mirrors):
     """A layer 0.5 mm thick under a ripple that is symmetric in x = 0 and y = 0; its sides roll."""
     px = np.linspace(-1.2, 1.2, 97)
-    loaded = 0.28 + 0.02 * np.cos(4 * px) * np.cos(3 * px)[:, None]
+    loaded = 0.31 + 0.02 * np.cos(4 * px) * np.cos(3 * px)[:, None]
     flat = np.full((97, 97), 0.5)
     grid = LayerGrid(x, y, depth_positions(0.25, True), np.full((y.size, x.size), 0.5))
     problem = LayerProblem(grid, Imprint(px, px, flat, loaded), LAW, (0.3, 0.2), mirrors=mirrors)

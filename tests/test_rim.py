@@ -8,10 +8,10 @@ import pytest
 
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.cascade import Solution, solve
-from optical_palpation.mechanics.contact import rim_reach, side_contact
 from optical_palpation.mechanics.grid import LayerGrid, edge_width, graded_depths, node_positions
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.problem import LayerProblem
+from optical_palpation.mechanics.side_contact import side_contact
 from optical_palpation.palpation.meshing import expected_forces
 from optical_palpation.palpation.sensitivity import changes, sensitivities
 
@@ -56,7 +56,7 @@ def force(solution) -> float:
 def test_its_part_of_the_force_is_what_a_shorter_reach_takes_away():
     problem = slab(0.3)
     solution = solved(problem)
-    shorter = solved(replace(problem, rim_model=0.8))
+    shorter = solved(replace(problem, side_reach=0.8))
     expected = (force(solution) - force(shorter)) / 0.2
     assert expected > 0.01 * force(solution)
     assert rim_effect(problem) == pytest.approx(expected, rel=0.5)
@@ -65,10 +65,3 @@ def test_its_part_of_the_force_is_what_a_shorter_reach_takes_away():
 @pytest.mark.parametrize(("compression", "edges"), [(0.05, "free"), (0.02, "roller")])
 def test_where_no_side_is_near_it_is_nothing(compression, edges):
     assert rim_effect(slab(compression, edges)) == 0.0
-
-
-def test_the_reach_shrinks_with_the_mesh_down_to_that_of_ten_elements():
-    reach = [
-        rim_reach(replace(slab(0.1).grid, depth=graded_depths(n))).ravel() for n in (4, 8, 10, 20)
-    ]
-    np.testing.assert_allclose(reach, np.repeat([[0.25], [0.125], [0.1], [0.1]], 2, axis=1))

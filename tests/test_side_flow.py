@@ -68,10 +68,10 @@ def test_one_newton_step_is_that_of_the_reference_solver():
     for name in ("multigrid", "direct"):
         solver = make_solver(problem, name)
         rhs = assemble(problem, now, solver).right_hand_side(problem, now)
-        du, dp, _ = solver.solve(rhs, 1e-5)
+        du, dp, _ = solver.solve(rhs, 1e-6)
         steps.append((du, dp))
     for one, other in zip(*steps, strict=True):
-        assert np.linalg.norm(one - other) < 1e-3 * np.linalg.norm(other)
+        assert np.linalg.norm(one - other) < 2e-3 * np.linalg.norm(other)  # in single precision
 
 
 @pytest.mark.parametrize("scale", [0.1, 10.0])

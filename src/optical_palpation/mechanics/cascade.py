@@ -14,8 +14,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from .contact import slip_coordinate
 from .direct import DirectSolver
-from .grid import LayerGrid, edge_width, node_positions
+from .friction import held_fast
+from .grid import LayerGrid, contact_nodes, edge_width, face_and_sides, node_positions
 from .iteration import TOLERANCES, NotConverged, Tolerances, relaxed
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
@@ -110,13 +112,20 @@ def prolong(state: LayerState, coarse: LayerProblem, fine: LayerProblem) -> Laye
     """Interpolate a state of one grid to another grid of the same layer."""
     source, target = coarse.grid, fine.grid
     pressure = state.normal_force / source.areas
+
+    def at_contact(field: Array) -> Array:
+        face, sides = face_and_sides(field, source.node_shape[1:])
+        face = target.interpolate_from(source, face)
+        sides = target.interpolate_sides_from(source, sides)
+        return np.concatenate([face.reshape(2, 2, -1), sides], axis=-1)
+
+    u = target.interpolate_from(source, state.u)
     return LayerState(
         load=state.load,
-        u=target.interpolate_from(source, state.u),
+        u=u,
         p=target.interpolate_cells_from(source, state.p),
-        slip=target.interpolate_from(source, state.slip),
-        anchor=target.interpolate_from(source, state.anchor),
-        anchor_load=state.anchor_load,
+        slip=at_contact(held_fast(slip_coordinate(coarse, state))),
+        anchor=contact_nodes(u[:2]),
         normal_force=np.maximum(target.interpolate_from(source, pressure), 0.0) * target.areas,
     )
 

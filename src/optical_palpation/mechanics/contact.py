@@ -10,31 +10,21 @@ which for eps -> 0 is N = max(0, N + c phi). N phi = -eps^2 / c: with the final 
 of the shear modulus a pressed node keeps a gap of less than a nanometre. A hard active set instead
 of it flickers for ever on a few nodes at free edges.
 
-Friction is the smooth Coulomb law t = mu N s, s = w / sqrt(1 + |w|^2), w = w0 + slip / slip_length,
-in the x-y plane, opposing the slip since the last accepted load; w0 makes the traction continuous
-from one load to the next. Where the imprint moves sideways, slip is relative to that point of it
-where the node was at that load. The lateral equations of a surface node are
+Friction is that of ``friction``, mu N s along the slip. Where the imprint moves sideways, slip is
+relative to that point of it where the node was at the last load. The lateral equations of a surface
+node are
 
     f_x + (a_x - mu s_x) f_z = 0 (imprint),    f_x + mu s_x f_z = 0 (window),
 
 in which the vertical internal force f_z = -+N carries both the slope and the friction bound, so
-that friction is linearised exactly together with the pressure that bounds it. Where a node turns
-round, w crosses the whole range in which the law is nearly constant and Newton's method on s(w)
-swings between its ends. So s is an unknown of its own, as N is, and what is linearised is
-s sqrt(1 + |w|^2) = w (the primal-dual method of Chan, Golub and Mulet for the same law in image
-restoration): the stiffness is (I - s w^T / sqrt(1 + |w|^2)) / sqrt(1 + |w|^2), symmetric part.
+that friction is linearised exactly together with the pressure that bounds it.
 
 The slope a = -(A_x, A_y) / A_z along which the contact force acts is that of the deformed element
 faces, with A the area vector of the node (the gradient of the layer's volume), not that of the
 imprint: a uniform pressure is then in exact equilibrium on the mesh. With the imprint's own slope a
 pressure well above the shear modulus drives the nodes sideways.
 
-A free side bulges and, under a large compression, rolls onto the window and the imprint. The nodes
-of the sides therefore meet both surfaces too, with a penalty and no friction. It sets in smoothly,
-before they touch: the band that rolls over is an element or two wide and carries little, but how it
-begins to carry decides whether Newton's method gets past it. For the same reason eps is larger
-at the window within ``LayerProblem.rim`` where the mesh is fine: the rim lifts off the window node
-by node, each with a snap.
+The free sides meet both surfaces too (``side_contact``).
 
 The nodes of a glued face are prescribed altogether: those at the window stay, those at the imprint
 go with the point that they lay on at first. What holds them is read off the internal forces.
@@ -51,16 +41,15 @@ from numpy.typing import NDArray
 from optical_palpation.runtime.kernels import keep_kernels
 
 from .faces import SHAPE, SLOPE, area_vectors
-from .grid import LayerGrid
+from .friction import friction_direction, friction_stiffness, remembered
+from .grid import contact_nodes, face_and_sides
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
+from .side_contact import side_contact
 
 keep_kernels()
 
 Array = NDArray[np.float64]
 
-#: |w| is remembered from load to load up to this value only (friction 0.995 of its bound), so that
-#: a node that turns round does not first have to slip all the way back.
-MEMORY = 10.0
 #: Smoothing eps of contact, as a pressure in units of the shear modulus; from the first iteration
 #: on, because the pressure of a layer with nowhere to go depends on it and would be sought twice.
 SMOOTHING = 1e-3
@@ -71,13 +60,6 @@ STIFF = 1e3
 #: and too little. It is sought from where it would be if rigid, or all else drowns in its force.
 #: With free edges such springs would only make linear systems harder.
 _RIGID = 10.0
-#: Penalty of the sides in shear moduli per element height, and the gap at which it begins as a
-#: share of the height that the outermost element would have if the layer were pressed evenly. Nodes
-#: that are caught only where they touch snap down one after the other along the edge.
-SIDE_PENALTY, SIDE_GAP = 12.0, 0.75
-#: Height, in thicknesses, of the band next to each surface that the penalty keeps from folding
-#: however fine the elements.
-_SIDE_BAND = 0.1
 
 
 @dataclass(frozen=True)
@@ -92,8 +74,7 @@ class ContactLinearisation:
     over the neighbours 3 (dy + 1) + (dx + 1); ``spring`` the stiffness of the
     contact coordinate d, where ``stiff`` so great that d is sought from where it would be were it
     prescribed, where ``rigid`` prescribed indeed. ``violation`` is psi, mN, where glued c times the
-    distance ``off`` (x, y, z; 0 elsewhere) from where the node belongs. ``sides`` is the contact of
-    the sides.
+    distance ``off`` (x, y, z; 0 elsewhere) from where the node belongs.
     """
 
     penetration: Array
@@ -107,7 +88,6 @@ class ContactLinearisation:
     spring: Array
     stiff: NDArray[np.bool_]
     rigid: NDArray[np.bool_]
-    sides: SideContact
 
     def to_undo(
         self, problem: LayerProblem, now: ContactLinearisation, normal_force: Array
@@ -133,19 +113,6 @@ class ContactLinearisation:
         return load, step
 
 
-@dataclass(frozen=True)
-class SideContact:
-    """Contact of the nodes on the sides (``LayerGrid.side_nodes``) with window and imprint.
-
-    ``normal_force`` (2, n), mN, vertical, compression positive; ``force`` (3, n), mN, what the
-    nodes must balance; ``stiffness`` (3, 3, n), its derivative, mN / mm.
-    """
-
-    normal_force: Array
-    force: Array
-    stiffness: Array
-
-
 def complementarity_scale(problem: LayerProblem) -> Array:
     """Scale c of the complementarity equation, mN / mm, shape (ny + 1, nx + 1)."""
     grid = problem.grid
@@ -163,24 +130,12 @@ def glued_displacement(problem: LayerProblem, face: int, load: float) -> Array:
 
 
 def slip_coordinate(problem: LayerProblem, state: LayerState) -> Array:
-    """The slip w of both faces in slip lengths, memory included, (2, 2, ny + 1, nx + 1)."""
+    """The slip w in slip lengths, memory included, (2, 2, m) on ``contact_nodes``."""
     slip = state.lateral() - state.anchor
-    x, y = problem.grid.nodes[:2, -1] + state.anchor[SAMPLE]
+    x, y = contact_nodes(problem.grid.nodes[:2])[SAMPLE] + state.anchor[SAMPLE]
     velocity = problem.imprint.velocity(x, y, state.anchor_load)
     slip[SAMPLE] -= (state.load - state.anchor_load) * velocity
     return state.slip + slip / problem.slip_length
-
-
-def friction_direction(w: Array) -> Array:
-    """Friction as a share of its bound, s = w / sqrt(1 + |w|^2), (2, 2, ny + 1, nx + 1)."""
-    return w / np.sqrt(1 + (w**2).sum(1, keepdims=True))
-
-
-def direction_step(w: Array, direction: Array, dw: Array) -> Array:
-    """Newton step of the ``direction`` s from its linearised law, for a step ``dw`` of the slip."""
-    q = np.sqrt(1 + (w**2).sum(1, keepdims=True))
-    along = direction * (w * dw).sum(1, keepdims=True) + w * (direction * dw).sum(1, keepdims=True)
-    return (w + dw - 0.5 * along / q) / q - direction
 
 
 def smooth_maximum(t: Array, eps: Array) -> tuple[Array, Array]:
@@ -197,14 +152,14 @@ def linearise(
     problem: LayerProblem,
     state: LayerState,
     force: Array,
-    direction: Array | None = None,
+    direction: Array,
     bound: Array | None = None,
 ) -> ContactLinearisation:
     """Linearise contact and friction at ``state`` with the internal nodal ``force``.
 
-    ``direction`` is the unknown s, by default the one that belongs to the slip. Friction is bounded
-    by the contact forces themselves or, if given, by the normal forces ``bound`` (2, ny + 1,
-    nx + 1), mN.
+    ``force`` includes what presses the sides; ``direction`` is the unknown s, (2, 2, m). Friction
+    is bounded by the contact forces themselves or, if given, by the normal forces ``bound``
+    (2, ny + 1, nx + 1), mN.
     """
     nodes = problem.grid.nodes
     bottom = nodes[:, 0] + state.u[:, 0]
@@ -215,11 +170,7 @@ def linearise(
     reaction = np.stack([force[2, 0], -force[2, -1]])
 
     c = complementarity_scale(problem)
-    eps = np.broadcast_to(SMOOTHING * c * problem.grid.spacing[0], (2, *c.shape)).copy()
-    # with the load, so that the unloaded layer is free of stress
-    eps[WINDOW][problem.rim] *= max(
-        1.0, problem.rim_model * state.load * problem.rim_smoothing / SMOOTHING
-    )
+    eps = SMOOTHING * c * problem.grid.spacing[0]
     t = normal + c * penetration
     s_value, other = smooth_maximum(t, eps)
     slope = 1 - other
@@ -231,18 +182,17 @@ def linearise(
     spring = np.where(rigid, 0.0, slope * c / np.where(rigid, 1.0, other))
     off = np.zeros((2, 3, *c.shape))
 
-    w = slip_coordinate(problem, state)
-    q = np.sqrt(1 + (w**2).sum(1))
-    s = w / q[:, None]
+    w, _ = face_and_sides(slip_coordinate(problem, state), c.shape)
+    s = friction_direction(w)
     friction = np.asarray(problem.friction)[:, None, None]
     if bound is None:
         carries = (reaction > 0)[:, None] * friction[:, None] * s
         traction = np.zeros_like(s)
-        hold = friction * np.maximum(reaction, normal) / problem.slip_length / q
+        hold = friction * np.maximum(reaction, normal) / problem.slip_length
     else:
         carries = np.zeros_like(s)
         traction = (friction * bound)[:, None] * s
-        hold = friction * bound / problem.slip_length / q
+        hold = friction * bound / problem.slip_length
     row = carries.copy()
     area = area_vectors(top)
     face_slope = -area[:2] / area[2]
@@ -250,11 +200,8 @@ def linearise(
     column = np.zeros_like(row)
     column[SAMPLE] = hx, hy
 
-    d = s if direction is None else direction
-    mixed = -0.5 * (s[:, 0] * d[:, 1] + s[:, 1] * d[:, 0])
-    block = np.stack(
-        [hold * (1 - s[:, 0] * d[:, 0]), hold * mixed, hold * (1 - s[:, 1] * d[:, 1])], axis=1
-    )
+    along, _ = face_and_sides(direction, c.shape)
+    block = np.moveaxis(hold * friction_stiffness(w, along), 0, 1)
     turning = np.zeros((*h.shape, 9, 2, 3))
     turning_stiffness(top, np.maximum(normal[SAMPLE], 0.0) / area[2], face_slope, turning)
     for face, k in ((WINDOW, 0), (SAMPLE, -1)):
@@ -280,59 +227,7 @@ def linearise(
         spring,
         stiff,
         rigid,
-        side_contact(problem, state),
     )
-
-
-def side_penalty(
-    penetration: Array, gap: Array | float, stiffness: Array | float
-) -> tuple[Array, Array]:
-    """Force of a penalty that sets in smoothly at a ``gap``, mN, and its derivative, mN / mm."""
-    near = np.clip(1 + penetration / gap, 0.0, 2.0)
-    force = stiffness * (0.25 * gap * near**2 + np.maximum(penetration - gap, 0.0))
-    return force, 0.5 * stiffness * near
-
-
-def rim_reach(grid: LayerGrid) -> Array:
-    """How near both faces the nodes of a side are caught, in thicknesses, (2, 1)."""
-    return np.maximum([[grid.depth[1]], [1 - grid.depth[-2]]], _SIDE_BAND)
-
-
-def side_contact(problem: LayerProblem, state: LayerState) -> SideContact:
-    """Contact of the free sides with window and imprint at ``state``."""
-    grid = problem.grid
-    nodes = grid.side_nodes
-    count = nodes[0].size if problem.edges == "free" else 0
-    x, y, z = (grid.nodes[c][nodes][:count] + state.u[c][nodes][:count] for c in range(3))
-    h, hx, hy, hxx, hxy, hyy = problem.imprint.evaluate(x, y, state.load)
-    _, dy, dx = grid.spacing
-    above = grid.depth[nodes[0][:count]]
-    first = np.array([[grid.depth[1]], [1 - grid.depth[-2]]])
-    band = np.minimum(np.stack([above, 1 - above]), rim_reach(grid))
-    # pressure x area of a node / the height that it keeps free; a corner rolls over from both its
-    # sides, and with the penalty of one its tip would swing to and fro
-    sides = np.zeros(count)
-    for own, d, last in zip(
-        problem.own_sides, (1, 1, 2, 2), (0, len(grid.y) - 1, 0, len(grid.x) - 1), strict=True
-    ):
-        sides += own & (nodes[d][:count] == last)
-    for mirror, d, last in zip(
-        problem.mirrors, (1, 1, 2, 2), (0, len(grid.y) - 1, 0, len(grid.x) - 1), strict=True
-    ):
-        sides[mirror & (nodes[d][:count] == last)] *= 0.5
-    c = SIDE_PENALTY * problem.shear_modulus * sides * 0.5 * (dx + dy) * first / band
-    x0, y0 = (grid.nodes[n][nodes][:count] for n in range(2))
-    height = problem.imprint.evaluate(x0, y0, state.load)[0]
-    gap = problem.rim_model * SIDE_GAP * height * band
-    penetration = np.stack([-z, z - h])
-    normal, slope = side_penalty(penetration, gap, c)
-    flat, one = np.zeros_like(x), np.ones_like(x)
-    # gradients of the penetrations
-    gradient = np.array([[flat, flat, -one], [-hx, -hy, one]])
-    force = np.einsum("fn,fcn->cn", normal, gradient)
-    stiffness = np.einsum("fn,fcn,fdn->cdn", slope, gradient, gradient)
-    stiffness[:2, :2] -= normal[SAMPLE] * np.array([[hxx, hxy], [hxy, hyy]])
-    return SideContact(normal, force, stiffness)
 
 
 @nb.njit(cache=True)
@@ -373,14 +268,15 @@ def turning_stiffness(surface, pressure, slope, out):
 def remember_slip(problem: LayerProblem, state: LayerState) -> None:
     """Carry the friction state to the next load (in place)."""
     w = slip_coordinate(problem, state)
-    size = np.sqrt((w**2).sum(1, keepdims=True))
-    w *= np.minimum(1.0, MEMORY / np.maximum(size, 1e-300))
-    state.slip = np.where(state.touching(problem)[:, None], w, 0.0)
+    rolled = side_contact(problem, state).normal_force > 0
+    touching = np.concatenate([state.touching(problem).reshape(2, -1), rolled], axis=1)
+    state.slip = np.where(touching[:, None], remembered(w), 0.0)
     state.slip[list(problem.glued)] = 0.0
     state.anchor, state.anchor_load = state.lateral(), state.load
 
 
 def friction_fraction(problem: LayerProblem, state: LayerState) -> Array:
     """Share of the friction bound in use at each node, (2, ny + 1, nx + 1); 1 without friction."""
-    used = np.sqrt((friction_direction(slip_coordinate(problem, state)) ** 2).sum(1))
+    w, _ = face_and_sides(slip_coordinate(problem, state), problem.grid.node_shape[1:])
+    used = np.sqrt((friction_direction(w) ** 2).sum(1))
     return np.where(np.asarray(problem.friction)[:, None, None] > 0, used, 1.0)

@@ -16,8 +16,6 @@ Array = NDArray[np.float64]
 #: where the rim rolls at the window, and so do flatter ones: with free sides, the elements at the
 #: window are at least as high.
 EDGE = 0.04
-#: Width of the rim of a layer, in thicknesses.
-RIM = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,25 +80,10 @@ class LayerGrid:
 
     @cached_property
     def side_nodes(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """Indices (k, j, i) of the nodes on the four sides that lie on neither face."""
-        nz1, ny1, nx1 = self.node_shape
-        side = np.zeros((ny1, nx1), bool)
-        side[[0, -1]] = side[:, [0, -1]] = True
-        j, i = np.nonzero(side)
-        k = np.arange(1, nz1 - 1)
+        """Indices (k, j, i) of the nodes on the four sides, those on both faces too."""
+        j, i = _rim_nodes(self.node_shape[1:])
+        k = np.arange(len(self.depth))
         return np.repeat(k, j.size), np.tile(j, k.size), np.tile(i, k.size)
-
-    def rim(self, sides: tuple[bool, bool, bool, bool]) -> NDArray[np.bool_]:
-        """Which lateral nodes lie within ``RIM`` thicknesses of these sides, (ny + 1, nx + 1).
-
-        Sides are the lowest and highest in y, then in x.
-        """
-        width = RIM * (1 + 1e-6) * np.median(self.thickness)
-        y, x = (
-            (low & (nodes - nodes[0] <= width)) | (high & (nodes[-1] - nodes <= width))
-            for nodes, low, high in ((self.y, *sides[:2]), (self.x, *sides[2:]))
-        )
-        return y[:, None] | x
 
     @cached_property
     def spacing(self) -> tuple[float, float, float]:
@@ -134,6 +117,18 @@ class LayerGrid:
                 )
         return np.ascontiguousarray(field)
 
+    def interpolate_sides_from(self, other: LayerGrid, field: Array) -> Array:
+        """Linear interpolation of a field (..., n) on the ``side_nodes`` of another grid."""
+        source = field.reshape(*field.shape[:-1], len(other.depth), -1)
+        rim = len(_rim_nodes(self.node_shape[1:])[0])
+        out = np.zeros((*field.shape[:-1], len(self.depth), rim))
+        down = _linear_weights(other.depth, self.depth)
+        sides = zip(_sides(other.node_shape[1:]), _sides(self.node_shape[1:]), strict=True)
+        axes = ((other.x, self.x), (other.x, self.x), (other.y, self.y), (other.y, self.y))
+        for (theirs, mine), axis in zip(sides, axes, strict=True):
+            out[..., mine] = down @ source[..., theirs] @ _linear_weights(*axis).T
+        return out.reshape(*field.shape[:-1], -1)
+
     def interpolate_cells_from(self, other: LayerGrid, field: Array) -> Array:
         """Linear interpolation of an element field (nz, ny, nx) between element centres."""
         positions = []
@@ -158,6 +153,49 @@ class LayerGrid:
             for i in (slice(None, -1), slice(1, None)):
                 areas[j, i] += quarter
         return areas
+
+
+def contact_nodes(field: Array) -> Array:
+    """Values of a nodal field (c, nz + 1, ny + 1, nx + 1) where window and sample side may touch.
+
+    Returns
+    -------
+    Array
+        (2, c, m): the nodes of the face itself, row by row, and then the ``LayerGrid.side_nodes``,
+        which both may touch.
+    """
+    j, i = _rim_nodes(field.shape[2:])
+    sides = field[:, :, j, i].reshape(len(field), -1)
+    return np.stack(
+        [np.concatenate([field[:, k].reshape(len(field), -1), sides], axis=1) for k in (0, -1)]
+    )
+
+
+def face_and_sides(values: Array, face_shape: tuple[int, int]) -> tuple[Array, Array]:
+    """Values at ``contact_nodes`` as those of the face, (..., ny + 1, nx + 1), and of the sides."""
+    count = face_shape[0] * face_shape[1]
+    return values[..., :count].reshape(*values.shape[:-1], *face_shape), values[..., count:]
+
+
+def _rim_nodes(shape: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices (j, i) of the outermost lateral nodes, row by row."""
+    rim = np.ones(shape, bool)
+    rim[1:-1, 1:-1] = False
+    j, i = np.nonzero(rim)
+    return j, i
+
+
+def _sides(shape: tuple[int, ...]) -> tuple[NDArray[np.intp], ...]:
+    """Which of ``_rim_nodes`` are on each side: the lowest and highest in y, then in x."""
+    number = np.zeros(shape, np.intp)
+    j, i = _rim_nodes(shape)
+    number[j, i] = np.arange(j.size)
+    return number[0], number[-1], number[:, 0], number[:, -1]
+
+
+def _linear_weights(source: Array, target: Array) -> Array:
+    """Weights (target, source) of linear interpolation, constant beyond the ends."""
+    return np.stack([np.interp(target, source, unit) for unit in np.eye(len(source))], axis=1)
 
 
 def node_positions(

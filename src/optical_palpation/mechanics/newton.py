@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from .contact import (
     ContactLinearisation,
-    direction_step,
-    friction_direction,
     linearise,
     slip_coordinate,
 )
+from .friction import direction_step, friction_direction
+from .grid import contact_nodes, face_and_sides
 from .iteration import Direction, NotConverged, Tolerances, iterate
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
+from .side_contact import SideContact, side_contact
 from .side_flow import SideFlow
 from .stencil import threads_for
 from .system import NewtonSystem, RightHandSide, assemble
@@ -89,8 +90,9 @@ class Balance:
     """Internal forces, volumes and contact of a state, and how far it is from equilibrium.
 
     ``direction`` is that of friction, an unknown of its own, ``drag`` what resists the state.
-    ``force`` are the internal nodal forces (x, y, z), ``residual`` what is out of balance of the
-    equations in contact coordinates, both (3, nz + 1, ny + 1, nx + 1), mN. ``imbalance`` is the
+    ``force`` are the internal nodal forces (x, y, z), with what else holds the layer but for the
+    faces (drag, cut sides, ``sides``), ``residual`` what is out of balance of the equations in
+    contact coordinates, both (3, nz + 1, ny + 1, nx + 1), mN. ``imbalance`` is the
     2-norm of all that is out of balance, mN, ``force_error`` its share of the contact forces.
     """
 
@@ -104,6 +106,7 @@ class Balance:
     volume_residual: Array
     flow: SideFlow | None
     contact: ContactLinearisation
+    sides: SideContact
     min_jacobian: float
     imbalance: float
     force_error: float
@@ -123,13 +126,17 @@ def balance(
         force += drag.force(problem, state.u)
     if problem.border is not None:
         force[:, *problem.border.nodes] += problem.border.resistance(state.u)
+    if direction is None:
+        direction = friction_direction(slip_coordinate(problem, state))
+    _, slip = face_and_sides(slip_coordinate(problem, state), problem.grid.node_shape[1:])
+    _, along = face_and_sides(direction, problem.grid.node_shape[1:])
+    sides = side_contact(problem, state, (slip, along))
+    force[:, *sides.nodes] += sides.force
     glued = list(problem.glued)
     if any(glued):
         held = state.normal_force.copy()
         held[glued] = np.stack([force[2, 0], -force[2, -1]])[glued]
         state = replace(state, normal_force=held)
-    if direction is None:
-        direction = friction_direction(slip_coordinate(problem, state))
     bound = None if drag is None else drag.bound
     contact = linearise(problem, state, force, direction, bound)
     out = force.copy()
@@ -138,8 +145,6 @@ def balance(
         out[2, k] += sign * state.normal_force[face]
         if problem.glued[face]:
             out[:, k] = 0.0
-    if problem.edges == "free":
-        out[:, *problem.grid.side_nodes] += contact.sides.force
     problem.hold_sides(out, 0.0)
     imbalance = float(np.hypot(np.linalg.norm(out), np.linalg.norm(contact.violation)))
     return Balance(
@@ -153,6 +158,7 @@ def balance(
         volume_residual=body.volume_residual,
         flow=body.flow,
         contact=contact,
+        sides=sides,
         min_jacobian=body.min_jacobian,
         imbalance=imbalance,
         force_error=imbalance / max(_force_scale(problem, state), 1e-30),
@@ -201,7 +207,7 @@ def _direction(
         raise NotConverged("the tangent is nearly singular")
     step = system.to_cartesian(du)
     change = system.contact_forces(now.force, du, dp) - state.normal_force
-    slip_step = np.stack([step[:2, 0], step[:2, -1]]).astype(float) / problem.slip_length
+    slip_step = contact_nodes(step[:2].astype(float)) / problem.slip_length
     w = slip_coordinate(problem, state)
     turn = direction_step(w, now.direction, slip_step)
     turning = (w * (w + slip_step)).sum(1) < 0

@@ -13,8 +13,9 @@ from optical_palpation.material import Law
 
 from .body import Body
 from .border import Border, Surroundings
-from .grid import LayerGrid
+from .grid import LayerGrid, contact_nodes
 from .imprint import Imprint
+from .side_contact import Facets
 
 Array = NDArray[np.float64]
 WINDOW, SAMPLE = 0, 1
@@ -43,9 +44,6 @@ class LayerProblem:
         opposite ones make plane strain.
     slip_length
         Slip, mm, over which friction builds up (the smoothing of Coulomb's law).
-    rim_smoothing
-        Smoothing of contact at the window within ``LayerGrid.rim``, at full load, as a pressure in
-        units of the shear modulus.
     curved_sides
         Whether elements know of the parabola through the depth of a layer that sticks
         (``side_flow``): for a layer that sticks to both faces worth twice as many elements through
@@ -55,9 +53,8 @@ class LayerProblem:
         can pull. The sample side goes with those points of the imprint that it lay on at first.
     surroundings
         The larger layer that this one is a part of; it holds the sides that were cut.
-    rim_model
-        Reach of the model of the rim, as a fraction of the usual one: of the gap at which the
-        sides are caught, and of ``rim_smoothing``.
+    side_reach
+        The gap at which free sides are caught, as a fraction of the usual one.
     """
 
     grid: LayerGrid
@@ -67,11 +64,10 @@ class LayerProblem:
     edges: Literal["free", "roller"] = "free"
     mirrors: Sides = (False, False, False, False)
     slip_length: float = 1e-3
-    rim_smoothing: float = 0.0
     curved_sides: bool = False
     glued: tuple[bool, bool] = (False, False)
     surroundings: Surroundings | None = None
-    rim_model: float = 1.0
+    side_reach: float = 1.0
 
     @property
     def shear_modulus(self) -> float:
@@ -101,17 +97,18 @@ class LayerProblem:
         y0, y1, x0, x1 = (not (a or b) for a, b in zip(cut, self.mirrors, strict=True))
         return y0, y1, x0, x1
 
+    @cached_property
+    def side_facets(self) -> Facets:
+        """The element faces of the layer's own free sides."""
+        free = self.own_sides if self.edges == "free" else (False, False, False, False)
+        return Facets.of(self.grid, free)
+
     def hold_sides(self, field: NDArray, value: float | bool) -> None:
         """Set a nodal field (3, ...) to a value where sides have no normal displacement."""
         for number, mirror in enumerate(self.mirrors):
             if mirror or self.edges == "roller":
                 axis, end = divmod(number, 2)
                 np.moveaxis(field[1 - axis], 1 + axis, 0)[-end] = value
-
-    @cached_property
-    def rim(self) -> NDArray[np.bool_]:
-        """Which lateral nodes lie at the rim of the layer, (ny + 1, nx + 1)."""
-        return self.grid.rim(self.own_sides)
 
     def on_grid(self, grid: LayerGrid, imprint: Imprint | None = None) -> LayerProblem:
         """Return the same problem on another grid."""
@@ -131,9 +128,10 @@ class LayerState:
     p
         Element pressure, tension positive, (nz, ny, nx), kPa.
     slip
-        Friction memory w of both faces: slip / slip_length at ``anchor``; (2, 2, ny + 1, nx + 1).
+        Friction memory w at window and sample side: slip / slip_length at ``anchor``, (2, 2, m) on
+        the nodes of ``contact_nodes``.
     anchor
-        Lateral displacement to which ``slip`` belongs, (2, 2, ny + 1, nx + 1), mm.
+        Lateral displacement to which ``slip`` belongs, likewise, mm.
     normal_force
         Vertical contact forces, compression positive, (2, ny + 1, nx + 1), mN; of a glued face what
         holds it, which may be tension.
@@ -156,14 +154,14 @@ class LayerState:
     @classmethod
     def unloaded(cls, grid: LayerGrid) -> LayerState:
         """Return the stress-free layer that just touches both rigid surfaces."""
-        surface = grid.node_shape[1:]
+        u = np.zeros((3, *grid.node_shape))
         return cls(
             load=0.0,
-            u=np.zeros((3, *grid.node_shape)),
+            u=u,
             p=np.zeros(grid.shape),
-            slip=np.zeros((2, 2, *surface)),
-            anchor=np.zeros((2, 2, *surface)),
-            normal_force=np.zeros((2, *surface)),
+            slip=contact_nodes(u[:2]),
+            anchor=contact_nodes(u[:2]),
+            normal_force=np.zeros((2, *grid.node_shape[1:])),
         )
 
     def copy(self) -> LayerState:
@@ -172,8 +170,8 @@ class LayerState:
         return replace(self, **{name: getattr(self, name).copy() for name in arrays})
 
     def lateral(self) -> Array:
-        """Return the lateral displacement of both faces, (2, 2, ny + 1, nx + 1), mm."""
-        return np.stack([self.u[:2, 0], self.u[:2, -1]])
+        """Return the lateral displacement at window and sample side, (2, 2, m), mm."""
+        return contact_nodes(self.u[:2])
 
     def touching(self, problem: LayerProblem) -> NDArray[np.bool_]:
         """Return which surface nodes are in contact, (2, ny + 1, nx + 1); all of a glued face."""

@@ -82,8 +82,6 @@ class NewtonSystem:
         residual = now.force.copy()
         for face, k in ((WINDOW, 0), (SAMPLE, -1)):
             residual[:2, k] += now.contact.row[face] * now.force[2, k] + now.contact.traction[face]
-        if problem.edges == "free":
-            residual[:, *problem.grid.side_nodes] += now.contact.sides.force
         residual[2, [0, -1]] -= load
         for (face, k), columns in self.face_columns.items():
             for c in range(-columns.shape[3], 0):
@@ -181,6 +179,7 @@ def assemble(
             diagonal[:, [0, 4, 8]] += (damping * grid.node_volumes[k])[:, None]
         if problem.border is not None:
             problem.border.add_stiffness(diagonal, k)
+        now.sides.add_stiffness(plane, k)
         if k == 0 or k >= nz1 - 2:  # the face of the sample has neighbours in the plane below it
             _to_contact_frame(plane, k, nz1, contact.row, contact.column, contact.turning)
         for face, there in faces:
@@ -197,8 +196,6 @@ def assemble(
                 # the vertical equations of both faces give the contact forces after the step
                 system.vertical_rows[face] = plane[:, :, 6:, :nx1]
                 diagonal[:, 8] += contact.spring[face]
-        if problem.edges == "free":
-            _add_side_stiffness(diagonal, k, grid.side_nodes, contact.sides.stiffness)
         for face, there in faces:
             dz = there - k + 1
             if 0 <= dz <= 2:
@@ -209,13 +206,6 @@ def assemble(
         solver.store(k, plane)
     solver.prepare(system)
     return system
-
-
-def _add_side_stiffness(diagonal: Vector, k: int, sides: tuple, stiffness: Array) -> None:
-    """Add the stiffness of the sides' contact to the diagonal blocks of plane k."""
-    here = sides[0] == k
-    for c, d in np.ndindex(3, 3):
-        diagonal[sides[1][here], 3 * c + d, sides[2][here]] += stiffness[c, d, here]
 
 
 def _free(problem: LayerProblem, contact: ContactLinearisation) -> NDArray[np.bool_]:

@@ -17,10 +17,10 @@ from optical_palpation.arguments import check_instance
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
-from optical_palpation.mechanics.contact import side_contact
 from optical_palpation.mechanics.iteration import TOLERANCES, Iterate
 from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
+from optical_palpation.mechanics.side_contact import side_contact
 from optical_palpation.palpation.accuracy import solve_to_accuracy
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.edges import edge_influence

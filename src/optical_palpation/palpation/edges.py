@@ -150,7 +150,6 @@ def _coarse(
         grid=LayerGrid(x, y, np.linspace(0.0, 1.0, layers + 1), unloaded),
         imprint=imprint,
         edges="roller" if sides == "roller" else "free",
-        rim_smoothing=0.0,
     )
 
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from optical_palpation.material import Law
 from optical_palpation.mechanics.grid import (
-    RIM,
     LayerGrid,
     depth_positions,
     edge_width,
@@ -31,9 +30,6 @@ Hold = float | Literal["glued"]
 SLIP_LENGTH, SLIP_LENGTHS = 2e-3, (1e-5, 0.05)
 #: Width, in thicknesses, by which ``padded`` edges continue the layer past the field of view.
 PADDING = 3.0
-#: Smoothing of contact at the rim of finely meshed layers (``LayerProblem.rim_smoothing``), which
-#: without it lifts off the window node by node. It raises the total force by 0.3 %.
-RIM_SMOOTHING = 0.5
 
 
 def layer_problem(
@@ -74,14 +70,8 @@ def layer_problem(
         friction=(window, sample),
         edges="roller" if edges == "roller" else "free",
         slip_length=slip_length,
-        rim_smoothing=rim_smoothing(depth) if edges == "free" else 0.0,
         glued=glued,
     )
-
-
-def rim_smoothing(depth: Array) -> float:
-    """Smoothing of contact at the rim; elements higher than the rim is wide need none."""
-    return RIM_SMOOTHING * float(np.clip((RIM - depth[1]) / (0.5 * RIM), 0.0, 1.0))
 
 
 def _uniform(positions: Array) -> Array:

@@ -1,10 +1,8 @@
 """What small changes of the inputs do to the stress, the whole load path included.
 
-So it is told, too, what part of the force is due to the model of the rim. Where a free side rolls
-onto window or sample, its nodes are caught before they touch, and contact at the rim is smoothed
-(``mechanics.contact``): without that, Newton's method does not get past the moment at which they
-do. Its reach, an element's height on meshes of up to ten elements through the depth, stays that of
-ten on finer ones, so that its part of the force does not vanish with the mesh.
+So it is told, too, what part of the force is due to the model of the rim: a free side that rolls
+onto window or sample is caught before it touches (``mechanics.side_contact``), or Newton's method
+would not get past the moment at which it does. The reach of that is a share of an element's height.
 """
 
 from __future__ import annotations
@@ -25,11 +23,11 @@ from optical_palpation.mechanics.cascade import (
     prolong,
     solve,
 )
-from optical_palpation.mechanics.contact import rim_reach, side_contact
 from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.neighbours import Neighbours
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
+from optical_palpation.mechanics.side_contact import outermost_height, side_contact
 from optical_palpation.palpation.mesh_error import Quantities
 
 Array = NDArray[np.float64]
@@ -43,8 +41,8 @@ UNITS = {
 }
 #: Changes from which derivatives are computed: so small that the solution is linear in them, so
 #: large that the tolerance of the neighbours' equilibrium does not show. Thicknesses by fractions
-#: of the layer's, the model of the rim by one of its reach.
-_FRICTION, _THICKNESS, _RIM = 0.005, 0.002, -0.1
+#: of the layer's, the reach of the sides by one of itself.
+_FRICTION, _THICKNESS, _REACH = 0.005, 0.002, -0.1
 #: Elements of the largest grid on which the load path of the neighbours is followed.
 _PATH_ELEMENTS = 4000
 
@@ -52,8 +50,8 @@ _PATH_ELEMENTS = 4000
 def changed(problem: LayerProblem, name: str) -> tuple[LayerProblem, float]:
     """Return a problem one of whose inputs is slightly changed, and the change."""
     imprint, grid = problem.imprint, problem.grid
-    if name == "rim_model":
-        return replace(problem, rim_model=problem.rim_model + _RIM), _RIM
+    if name == "side_reach":
+        return replace(problem, side_reach=problem.side_reach + _REACH), _REACH
     if name in ("window_friction", "sample_friction"):
         friction = list(problem.friction)
         friction[name == "sample_friction"] += _FRICTION
@@ -81,7 +79,7 @@ def _varied(problem: LayerProblem) -> list[str]:
     for name, stuck in zip(("window_friction", "sample_friction"), problem.glued, strict=True):
         if stuck:
             names.remove(name)
-    return [*names, "rim_model"] if problem.edges == "free" else names
+    return [*names, "side_reach"] if problem.edges == "free" else names
 
 
 def _changed(problem: LayerProblem, name: str) -> LayerProblem:
@@ -137,7 +135,7 @@ def sensitivities(
         for name, problem, state in zip(names, problems[1:], states[1:], strict=True):
             step = changed(problems[0], name)[1]
             there = quantities(problem, state)
-            if name == "rim_model":
+            if name == "side_reach":
                 whole = (there[0] - here[0]) / step
                 attributes["force_rim_model_mN"] = _rim_effect(solution, problems[0], whole)
                 continue
@@ -168,9 +166,9 @@ def _rim_effect(solution: Solution, coarser: LayerProblem, effect: float) -> flo
     """Carry the effect of the model of the rim over from a grid, in proportion to its reach."""
     problem = solution.problem
     caught = side_contact(problem, solution.state).normal_force.any()
-    if not (caught or problem.rim_smoothing > 0):
+    if not caught:
         return 0.0
-    reach, there = (rim_reach(each.grid).mean() for each in (problem, coarser))
+    reach, there = (outermost_height(each.grid).mean() for each in (problem, coarser))
     return float(effect * reach / there)
 
 

@@ -151,7 +151,9 @@ def assemble(
             Plane(below[-1].ravel(), 1.0, at_plate),
         ),
         sides=Sides(
-            number[layer_grid.side_nodes].ravel(), blocks.law.shear_modulus * width, element_height
+            number[1:-1].reshape(-1)[_at_sides(layer_grid)],
+            blocks.law.shear_modulus * width,
+            element_height,
         ),
         slave_grids=(layer_grid, slave, sample_grid),
         areas=(window, interface, base),
@@ -163,6 +165,13 @@ def assemble(
     strain = min(0.5, pressure / (3 * stack.shear_modulus))
     sides = replace(stack.sides, height=(1 - strain) * element_height)
     return replace(stack, sides=sides)
+
+
+def _at_sides(grid: LayerGrid) -> NDArray[np.bool_]:
+    """Which nodes between the faces are on the sides."""
+    inside = np.ones(grid.node_shape, bool)[1:-1]
+    inside[:, 1:-1, 1:-1] = False
+    return inside.ravel()
 
 
 def _lateral(

@@ -16,21 +16,22 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..contact import (
-    MEMORY,
-    SIDE_GAP,
-    SIDE_PENALTY,
     STIFF,
-    direction_step,
-    friction_direction,
-    side_penalty,
     smooth_maximum,
 )
 from ..faces import area_vectors
+from ..friction import direction_step, friction_direction, friction_stiffness
+from ..friction import remembered as _kept
+from ..side_contact import penalty
 from .linear import Coupling, Surface
 from .projection import Projection
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
+
+#: Penalty of the sides in shear moduli per element height, and the gap at which it begins as a
+#: share of the height that the outermost element would have if the layer were pressed evenly.
+_SIDE_PENALTY, _SIDE_GAP = 12.0, 0.75
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +138,7 @@ class ContactTerms:
 class Sides:
     """Contact of the layer's sides with the window, onto which they roll.
 
-    As in ``mechanics.contact`` a stiff smooth penalty without friction. ``nodes`` (n) are numbers,
+    A smooth penalty at the nodes, without friction. ``nodes`` (n) are numbers,
     ``stiffness`` the shear modulus by a node's width, kPa mm, ``height`` that of an element if the
     layer were pressed evenly, mm.
     """
@@ -148,8 +149,8 @@ class Sides:
 
     def force(self, position: Array) -> tuple[Array, Array]:
         """Vertical force (n), mN, and its derivative by the penetration, mN / mm."""
-        c, gap = SIDE_PENALTY * self.stiffness, SIDE_GAP * self.height
-        return side_penalty(-position[self.nodes, 2], gap, c)
+        length, slope = penalty(-position[self.nodes, 2], _SIDE_GAP * self.height)
+        return _SIDE_PENALTY * self.stiffness * length, _SIDE_PENALTY * self.stiffness * slope
 
 
 def linearise(
@@ -175,11 +176,10 @@ def linearise(
     other = np.where(rigid, 1.0, other)
 
     w = friction_memory(state, position, slip_length)
-    q = np.sqrt(1 + (w**2).sum(1))
     s = friction_direction(w)
-    d = s if direction is None else direction
-    turned = 0.5 * (s[:, :, None] * d[:, None, :] + d[:, :, None] * s[:, None, :])
-    stiff = friction * np.maximum(normal, 0.0) / (slip_length * q)
+    xx, xy, yy = friction_stiffness(w, s if direction is None else direction)
+    turned = np.moveaxis(np.array([[xx, xy], [xy, yy]]), 2, 0)
+    stiff = friction * np.maximum(normal, 0.0) / slip_length
     terms = ContactTerms(
         projection=projection,
         state=state,
@@ -191,7 +191,7 @@ def linearise(
         step=np.where(rigid, violation / (np.where(rigid, slope, 1.0) * scale), 0.0),
         sliding=friction * s,
         slip=w,
-        friction_stiffness=stiff[:, None, None] * (np.eye(2) - turned),
+        friction_stiffness=stiff[:, None, None] * turned,
     )
     return replace(terms, residual=terms.rows * normal[:, None, None])
 
@@ -211,7 +211,5 @@ def remembered(
 ) -> ContactState:
     """Return the state from which the next load starts."""
     w = friction_memory(state, position, slip_length)
-    size = np.sqrt((w**2).sum(1, keepdims=True))
-    w = w * np.minimum(1.0, MEMORY / np.maximum(size, 1e-300))
-    w = np.where(touching(projection, state, scale)[:, None], w, 0.0)
+    w = np.where(touching(projection, state, scale)[:, None], _kept(w), 0.0)
     return ContactState(state.force, w, projection, projection.lateral(position))

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..body import ElementForces
-from ..contact import SMOOTHING, friction_direction
+from ..contact import SMOOTHING
+from ..friction import friction_direction
 from ..iteration import Direction, NotConverged, Tolerances, iterate
 from .contact import ContactTerms, friction_memory, linearise
 from .linear import BodyEquations, StackEquations, StackSolver

@@ -1,0 +1,271 @@
+"""Contact of the free sides, which roll onto window and imprint.
+
+A free side bulges and, under a large compression, rolls onto the window and the imprint: in plane
+strain at 42 % a third of it lies on the window and drags there. A side is no face, and has no
+contact forces of its own as unknowns: it is pressed back by a penalty,
+
+    pressure = kappa S(phi),
+
+at integration points, so that it rolls on along an element and not node by node, each with a snap.
+phi is the penetration of a point, -z at the window and z - h(x, y) at the imprint, and S sets in
+smoothly a share of an element's height before they touch. Both the sinking in and the share vanish
+with the elements.
+
+Friction is that of the faces, at the nodes: bounded by what presses each, along the slip since the
+last accepted load. A face that is glued has none for the sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .friction import friction_direction, friction_stiffness
+from .grid import LayerGrid
+
+if TYPE_CHECKING:
+    from .problem import LayerProblem, LayerState
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+#: Penalty kappa in shear moduli per height of the outermost element.
+PENALTY = 60.0
+#: Where the penalty begins, as a share of the height at which a point would be if the layer were
+#: pressed evenly, no further than that share of the outermost element; and that where the face is
+#: glued: the side of a layer that slides arrives with a snap, and must be felt before.
+GAP, GLUED_GAP = 0.65, 0.1
+#: Integration points of a side's element through the depth and along it.
+_POINTS = 3, 2
+
+
+def penalty(penetration: Array, gap: Array | float) -> tuple[Array, Array]:
+    """The length S of a penalty that sets in smoothly at a ``gap``, mm, and its derivative."""
+    near = np.clip(1 + penetration / np.maximum(gap, 1e-12), 0.0, 2.0)
+    return 0.25 * gap * near**2 + np.maximum(penetration - gap, 0.0), 0.5 * near
+
+
+def outermost_height(grid: LayerGrid) -> Array:
+    """Height of the outermost elements at window and sample side, in thicknesses, (2,)."""
+    return np.array([grid.depth[1], 1 - grid.depth[-2]])
+
+
+@dataclass(frozen=True, eq=False)
+class Facets:
+    """The element faces of some sides, n of them in each of nz layers.
+
+    Attributes
+    ----------
+    nodes
+        Indices (k, j, i) of the corners a, the two lower ones first, (3, 4, nz, n).
+    shape
+        Shape functions of the corners at the integration points, (points, 4).
+    depth
+        Depth of the integration points as a fraction of the thickness, (points, nz, 1).
+    area
+        Unloaded area that belongs to each point, (points, nz, n), mm^2.
+    """
+
+    nodes: Indices
+    shape: Array
+    depth: Array
+    area: Array
+
+    @classmethod
+    def of(cls, grid: LayerGrid, sides: tuple[bool, bool, bool, bool]) -> Facets:
+        """Return those of some sides: the lowest and highest in y, then in x."""
+        (z, wz), (t, wt) = (_gauss(count) for count in _POINTS)
+        z, t, weight = np.repeat(z, t.size), np.tile(t, z.size), np.outer(wz, wt).ravel()
+        shape = np.stack([(1 - z) * (1 - t), (1 - z) * t, z * (1 - t), z * t], axis=1)
+        nz, (j, i) = len(grid.depth) - 1, _along_sides(grid.node_shape[1:], sides)
+        lower = np.arange(nz)[:, None]
+        nodes = np.stack(
+            [np.broadcast_arrays(lower + (a >> 1), j[a & 1], i[a & 1]) for a in range(4)],
+            axis=1,
+        )
+        width = np.hypot(np.diff(grid.x[i], axis=0), np.diff(grid.y[j], axis=0))[0]
+        thickness = grid.thickness[j, i]
+        height = np.diff(grid.depth)[:, None]
+        local = np.stack([(1 - s) * thickness[0] + s * thickness[1] for s in t])
+        return cls(
+            nodes,
+            shape,
+            grid.depth[:-1, None] + z[:, None, None] * height,
+            weight[:, None, None] * width * height * local[:, None],
+        )
+
+    def at_points(self, field: Array) -> Array:
+        """Values of a nodal field (c, nz + 1, ny + 1, nx + 1) at the points, (c, points, nz, n)."""
+        return np.einsum("qa,caln->cqln", self.shape, field[:, *self.nodes])
+
+
+@dataclass(frozen=True, eq=False)
+class SideContact:
+    """What window and imprint do to the sides, and how it changes.
+
+    Attributes
+    ----------
+    normal_force
+        Vertical, compression positive, on the ``LayerGrid.side_nodes``, (2, n), mN.
+    force
+        What the nodes must balance, friction included, (3, n), mN.
+    blocks
+        Stiffness between the corners a and b of those ``facets`` that touch, (3, 3, 4, 4, m),
+        mN / mm.
+    facets
+        Indices (k, j, i) of their corners, (3, 4, m).
+    hold
+        Stiffness of friction at the nodes (xx, xy, yx, yy), (2, 2, n), mN / mm.
+    nodes
+        The ``LayerGrid.side_nodes``.
+    """
+
+    normal_force: Array
+    force: Array
+    blocks: Array
+    facets: Indices
+    hold: Array
+    nodes: tuple[Indices, Indices, Indices]
+
+    def add_stiffness(self, plane: NDArray[np.floating], k: int) -> None:
+        """Add the stiffness to plane k of the tangent, [y, neighbour, 3 * row + column, x]."""
+        for a in range(4):
+            rows = self.facets[0, a] == k
+            if not rows.any():
+                continue
+            _, j, i = self.facets[:, a, rows]
+            for b in range(4):
+                dk, dj, di = self.facets[:, b, rows] - self.facets[:, a, rows]
+                m = 9 * (dk + 1) + 3 * (dj + 1) + di + 1
+                for c, d in np.ndindex(3, 3):
+                    np.add.at(plane, (j, m, 3 * c + d, i), self.blocks[c, d, a, b, rows])
+        here = (self.nodes[0] == k) & self.hold.any((0, 1))
+        for c, d in np.ndindex(2, 2):
+            plane[self.nodes[1][here], 13, 3 * c + d, self.nodes[2][here]] += self.hold[c, d, here]
+
+
+def side_contact(
+    problem: LayerProblem, state: LayerState, friction: tuple[Array, Array] | None = None
+) -> SideContact:
+    """Contact of the free sides with window and imprint at ``state``.
+
+    ``friction`` are the slip w and the unknown s of the side nodes, (2, 2, n); without them there
+    is no friction in what is returned.
+    """
+    nodes, shape = problem.grid.side_nodes, problem.side_facets.shape
+    touch = _touching(problem, state)
+    number = _numbers(problem.grid, touch.corners)
+
+    def at_nodes(values: Array) -> Array:
+        """Sums over the facets at each node of values (..., 4, m) at their corners."""
+        out = np.zeros((*values.shape[:-2], nodes[0].size))
+        for at in np.ndindex(values.shape[:-2]):
+            out[at] = np.bincount(number.ravel(), values[at].ravel(), nodes[0].size)
+        return out
+
+    def over(points: str, *values: Array) -> Array:
+        return np.einsum(points, *values, optimize=True)
+
+    normal = at_nodes(over("qa,fqm->fam", shape, touch.force))
+    force = at_nodes(over("qa,fqm,fcqm->cam", shape, touch.force, touch.gradient))
+    # of the normal force of corner a by the displacement d of corner b
+    change = over("qa,qb,fqm,fdqm->fdabm", shape, shape, touch.stiffness, touch.gradient)
+    blocks = over(
+        "qa,qb,fqm,fcqm,fdqm->cdabm",
+        shape,
+        shape,
+        touch.stiffness,
+        touch.gradient,
+        touch.gradient,
+    )
+    blocks[:2, :2] -= over("qa,qb,qm,cdqm->cdabm", shape, shape, touch.force[1], touch.curvature)
+    hold = np.zeros((2, 2, nodes[0].size))
+    if friction is not None and number.size:
+        w, direction = friction
+        rubs = np.where(problem.glued, 0.0, problem.friction)
+        s = friction_direction(w)
+        force[:2] += over("f,fn,fcn->cn", rubs, normal, s)
+        blocks[:2] += over("f,fcam,fdabm->cdabm", rubs, s[:, :, number], change)
+        xx, xy, yy = friction_stiffness(w, direction)
+        turn = np.array([[xx, xy], [xy, yy]])
+        hold = over("f,fn,cdfn->cdn", rubs / problem.slip_length, normal, turn)
+    return SideContact(normal, force, blocks, touch.corners, hold, nodes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Touch:
+    """What presses the integration points of those m facets that touch.
+
+    ``corners`` (3, 4, m) are their indices (k, j, i), ``force`` (2, points, m), mN, and
+    ``stiffness`` mN / mm, those of the penalty; ``gradient`` (2, 3, points, m) that of the
+    penetration and ``curvature`` (2, 2, points, m), 1 / mm, that of the imprint.
+    """
+
+    corners: Indices
+    force: Array
+    stiffness: Array
+    gradient: Array
+    curvature: Array
+
+
+def _touching(problem: LayerProblem, state: LayerState) -> _Touch:
+    grid, facets = problem.grid, problem.side_facets
+    unloaded = facets.at_points(grid.nodes)
+    x, y, z = unloaded + facets.at_points(state.u)
+    h, *slopes = problem.imprint.evaluate(x, y, state.load)
+    pressed_evenly = problem.imprint.evaluate(unloaded[0], unloaded[1], state.load)[0]
+    outermost = outermost_height(grid)[:, None, None, None]
+    away = np.minimum(np.stack([facets.depth, 1 - facets.depth]), outermost)
+    share = np.where(problem.glued, GLUED_GAP, GAP)[:, None, None, None]
+    gap = problem.side_reach * share * pressed_evenly * away
+    length, slope = penalty(np.stack([-z, z - h]), gap)
+    spring = PENALTY * problem.shear_modulus / (outermost * np.median(grid.thickness))
+    touch = (slope > 0).any((0, 1))
+    hx, hy, hxx, hxy, hyy = (each[:, touch] for each in slopes)
+    flat, one = np.zeros_like(hx), np.ones_like(hx)
+    return _Touch(
+        facets.nodes[:, :, touch],
+        (facets.area * spring * length)[..., touch],
+        (facets.area * spring * slope)[..., touch],
+        np.array([[flat, flat, -one], [-hx, -hy, one]]),
+        np.array([[hxx, hxy], [hxy, hyy]]),
+    )
+
+
+def _numbers(grid: LayerGrid, indices: Indices) -> Indices:
+    """Which of the ``LayerGrid.side_nodes`` have indices (k, j, i), (3, ...)."""
+    k, j, i = grid.side_nodes
+    around = np.zeros(grid.node_shape[1:], np.intp)
+    rim = j[k == 0], i[k == 0]
+    around[rim] = np.arange(rim[0].size)
+    return indices[0] * rim[0].size + around[indices[1], indices[2]]
+
+
+def _along_sides(
+    shape: tuple[int, ...], sides: tuple[bool, bool, bool, bool]
+) -> tuple[Indices, Indices]:
+    """Indices j and i, each (2, n), of the two ends of the elements along some sides."""
+    ny1, nx1 = shape
+    found = []
+    for number, there in enumerate(sides):
+        if not there:
+            continue
+        along, last = (nx1, ny1 - 1) if number < 2 else (ny1, nx1 - 1)
+        ends = np.stack([np.arange(along - 1), np.arange(1, along)])
+        fixed = np.full_like(ends, last if number % 2 else 0)
+        found.append((fixed, ends) if number < 2 else (ends, fixed))
+    if not found:
+        return np.zeros((2, 0), np.intp), np.zeros((2, 0), np.intp)
+    return (
+        np.concatenate([j for j, _ in found], axis=1),
+        np.concatenate([i for _, i in found], axis=1),
+    )
+
+
+def _gauss(count: int) -> tuple[Array, Array]:
+    """Points and weights on 0 to 1."""
+    points, weights = np.polynomial.legendre.leggauss(count)
+    return 0.5 + 0.5 * points, 0.5 * weights

@@ -1,0 +1,174 @@
+"""Free sides roll onto window and imprint: their contact, its tangent, and what is remembered."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics.cascade import solve
+from optical_palpation.mechanics.contact import slip_coordinate
+from optical_palpation.mechanics.friction import (
+    MEMORY,
+    direction_step,
+    friction_direction,
+    friction_stiffness,
+    held_fast,
+    remembered,
+)
+from optical_palpation.mechanics.grid import LayerGrid, face_and_sides, node_positions
+from optical_palpation.mechanics.imprint import Imprint
+from optical_palpation.mechanics.path import StepControl
+from optical_palpation.mechanics.problem import LayerProblem, LayerState
+from optical_palpation.mechanics.side_contact import side_contact
+from optical_palpation.palpation.meshing import expected_forces
+
+LAW = MooneyRivlin(2.23, 0.703)
+
+
+def layer(x, y, depth, friction=(0.3, 0.2), loaded=0.3, **options) -> LayerProblem:
+    px = np.linspace(-1, 3, 41)
+    relief = loaded + 0.02 * np.cos(2 * px) * np.cos(px)[:, None]
+    flat = np.full((41, 41), 0.5)
+    grid = LayerGrid(x, y, depth, np.full((y.size, x.size), 0.5))
+    return LayerProblem(grid, Imprint(px, px, flat, relief), LAW, friction, **options)
+
+
+@pytest.fixture
+def rolled():
+    """A layer whose sides have sunk into window and imprint here and there."""
+    problem = layer(np.linspace(0, 1, 4), np.linspace(0, 0.8, 3), np.linspace(0, 1, 4))
+    rng = np.random.default_rng(3)
+    state = LayerState.unloaded(problem.grid)
+    state.load = 1.0
+    state.u = rng.normal(0, 0.05, state.u.shape)
+    state.u[2] -= 0.3 * problem.grid.nodes[2] + 0.02
+    state.slip = rng.normal(0, 1.0, state.slip.shape)
+    state.anchor = state.lateral() - rng.normal(0, 1e-3, state.anchor.shape)
+    return problem, state
+
+
+def pressed(problem, state):
+    _, w = face_and_sides(slip_coordinate(problem, state), problem.grid.node_shape[1:])
+    return side_contact(problem, state, (w, friction_direction(w)))
+
+
+def planes(contact, shape):
+    """The stiffness as its contribution to the planes of the tangent, as a matrix."""
+    size = 3 * np.prod(shape)
+    matrix = np.zeros((size, size))
+    numbers = np.arange(np.prod(shape)).reshape(shape)
+    for k in range(shape[0]):
+        plane = np.zeros((shape[1], 27, 9, shape[2]))
+        contact.add_stiffness(plane, k)
+        for j, m, entry, i in np.argwhere(plane):
+            dk, dj, di = m // 9 - 1, m // 3 % 3 - 1, m % 3 - 1
+            row = 3 * numbers[k, j, i] + entry // 3
+            column = 3 * numbers[k + dk, j + dj, i + di] + entry % 3
+            matrix[row, column] += plane[j, m, entry, i]
+    return matrix
+
+
+def test_the_stiffness_is_the_derivative_of_the_forces(rolled):
+    problem, state = rolled
+    shape = problem.grid.node_shape
+    contact = pressed(problem, state)
+    assert (contact.normal_force > 0).any(1).all()
+    rng = np.random.default_rng(5)
+    step = rng.normal(0, 1, state.u.shape)
+    expected = np.zeros(state.u.shape)
+    expected[:, *contact.nodes] = (
+        pressed(problem, replace(state, u=state.u + 1e-7 * step)).force
+        - pressed(problem, replace(state, u=state.u - 1e-7 * step)).force
+    ) / 2e-7
+    found = planes(contact, shape) @ np.moveaxis(step, 0, -1).ravel()
+    found = np.moveaxis(found.reshape(*shape, 3), -1, 0)
+    assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_a_glued_face_has_no_friction_for_the_sides(rolled):
+    problem, state = rolled
+    slippery = pressed(replace(problem, friction=(0.0, 0.0)), state)
+    glued = pressed(replace(problem, friction=(0.3, 0.2), glued=(True, True)), state)
+    # the imprint pushes sideways where it is inclined, the window never
+    window_only = slippery.normal_force[1] == 0
+    assert window_only.any()
+    assert_allclose(glued.force[:2, window_only], 0.0, atol=1e-12)
+
+
+def test_what_presses_the_sides_is_seen_by_both_ends():
+    """All of the force at the window arrives at the imprint, the sides' included."""
+    x = node_positions(1.6, 0.2, edge=0.06)
+    problem = layer(x, x, np.linspace(0, 1, 5), loaded=0.27)
+    solution = solve(problem, lambda level: expected_forces(level, LAW))
+    sides = side_contact(solution.problem, solution.state).normal_force.sum(1)
+    window, sample = solution.state.normal_force.sum((1, 2)) + sides
+    assert sides.max() > 1e-3 * window
+    assert_allclose(window, sample, rtol=1e-4)
+
+
+@pytest.mark.parametrize("size", [0.3, 2.0, 40.0])
+def test_law_of_friction(size):
+    rng = np.random.default_rng(1)
+    angle = rng.uniform(0, 2 * np.pi, 5)
+    w = size * np.stack([np.cos(angle), np.sin(angle)])[None]
+    s = friction_direction(w)
+    assert (np.hypot(s[:, 0], s[:, 1]) < 1).all()
+    xx, xy, yy = friction_stiffness(w, s)
+    dw = 1e-6 * rng.normal(0, 1, w.shape)
+    change = friction_direction(w + dw) - friction_direction(w - dw)
+    expected = 2 * np.stack([xx * dw[:, 0] + xy * dw[:, 1], xy * dw[:, 0] + yy * dw[:, 1]], 1)
+    assert_allclose(change, expected, atol=1e-11)
+    assert_allclose(direction_step(w, s, dw), 0.5 * expected, atol=1e-11)
+    # from anywhere, what is linearised leads to the law
+    assert_allclose(direction_step(w, 0.0 * s, 0.0 * w), s, atol=1e-12)
+
+
+def test_what_is_remembered_of_slip():
+    far = remembered(np.array([[[300.0], [400.0]]]))
+    assert_allclose(np.hypot(*far[0]), MEMORY)
+    assert np.hypot(*friction_direction(far)[0]) > 0.9995
+    near = np.array([[[0.3], [0.4]]])
+    assert_allclose(remembered(near), near)
+    # a node that slides goes on sliding on other elements, one that sticks does not begin to
+    assert_allclose(held_fast(near), near)
+    assert np.hypot(*held_fast(far)[0]) > 10 * MEMORY
+
+
+def test_fields_of_the_sides_are_interpolated():
+    def grid(nx, ny, nz):
+        depth = np.linspace(0, 1, nz) ** 1.2
+        return LayerGrid(
+            np.linspace(0, 1, nx), np.linspace(0, 2, ny) ** 0.9, depth, np.ones((ny, nx))
+        )
+
+    def field(of):
+        _, y, x = (n[of.side_nodes] for n in of.nodes[::-1])
+        z = of.nodes[2][of.side_nodes]
+        return np.stack([x + 2 * y - z, 3 - z * (x + y)])
+
+    coarse, fine = grid(4, 5, 3), grid(9, 7, 6)
+    exact = field(fine)[0]
+    assert_allclose(fine.interpolate_sides_from(coarse, field(coarse))[0], exact, atol=1e-12)
+    assert_allclose(fine.interpolate_sides_from(fine, field(fine)), field(fine), atol=1e-12)
+
+
+@pytest.mark.parametrize("longest", [0.3, 0.05])
+def test_the_history_of_friction_survives_a_finer_grid(longest):
+    """The load followed on a coarse grid ends with the force of one followed on the fine grid."""
+    x = node_positions(3.0, 0.1, edge=0.04)
+    px = np.linspace(-1, 4, 201)
+    flat = np.full((201, 201), 0.5)
+    waves = 0.42 + 0.05 * np.cos(3 * px) * np.cos(2.5 * px)[:, None]
+    grid = LayerGrid(x, x, np.linspace(0, 1, 5), np.full((x.size, x.size), 0.5))
+    problem = LayerProblem(grid, Imprint(px, px, flat, waves), LAW, (0.3, 0.1))
+    control = StepControl(first=min(0.1, longest), largest=longest)
+    forces = []
+    for cascade in (False, True):
+        found = solve(
+            problem, lambda level: expected_forces(level, LAW), cascade=cascade, control=control
+        )
+        forces.append(found.state.normal_force[1].sum())
+        assert (found.coarser is not None) is cascade
+    assert_allclose(forces[1], forces[0], rtol=6e-3)
