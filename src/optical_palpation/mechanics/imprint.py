@@ -54,6 +54,15 @@ class Imprint:
         end = spline_filter(np.asarray(self.loaded, float), order=3, mode="mirror")
         return start, end - start
 
+    @cached_property
+    def _lowest(self) -> tuple[float, float]:
+        return float(np.min(self.unloaded)), float(np.min(self.loaded))
+
+    def lowest(self, load: float) -> float:
+        """A height that the surface stays above, but for the splines' overshoot, mm."""
+        unloaded, loaded = self._lowest
+        return (1 - load) * unloaded + load * loaded
+
     def smoothed(self, sigma: float) -> Imprint:
         """Return the imprint smoothed by a Gaussian of standard deviation ``sigma``, mm."""
         widths = (sigma / (self.y[1] - self.y[0]), sigma / (self.x[1] - self.x[0]))

@@ -97,10 +97,6 @@ class Facets:
             weight[:, None, None] * width * height * local[:, None],
         )
 
-    def at_points(self, field: Array) -> Array:
-        """Values of a nodal field (c, nz + 1, ny + 1, nx + 1) at the points, (c, points, nz, n)."""
-        return np.einsum("qa,caln->cqln", self.shape, field[:, *self.nodes])
-
 
 @dataclass(frozen=True, eq=False)
 class SideContact:
@@ -158,40 +154,39 @@ def side_contact(
     nodes, shape = problem.grid.side_nodes, problem.side_facets.shape
     touch = _touching(problem, state)
     number = _numbers(problem.grid, touch.corners)
+    pairs = shape[:, :, None] * shape[:, None, :]
 
     def at_nodes(values: Array) -> Array:
-        """Sums over the facets at each node of values (..., 4, m) at their corners."""
+        """Sums at each node of values (..., points, m) on the facets."""
+        corners = np.tensordot(shape, values, (0, -2))
         out = np.zeros((*values.shape[:-2], nodes[0].size))
         for at in np.ndindex(values.shape[:-2]):
-            out[at] = np.bincount(number.ravel(), values[at].ravel(), nodes[0].size)
+            weights = corners[:, *at].ravel()
+            out[at] = np.bincount(number.ravel(), weights, nodes[0].size)
         return out
 
-    def over(points: str, *values: Array) -> Array:
-        return np.einsum(points, *values, optimize=True)
+    def between_corners(values: Array) -> Array:
+        """The stiffness (..., a, b, m) of values (..., points, m)."""
+        return np.moveaxis(np.tensordot(values, pairs, (-2, 0)), -3, -1)
 
-    normal = at_nodes(over("qa,fqm->fam", shape, touch.force))
-    force = at_nodes(over("qa,fqm,fcqm->cam", shape, touch.force, touch.gradient))
-    # of the normal force of corner a by the displacement d of corner b
-    change = over("qa,qb,fqm,fdqm->fdabm", shape, shape, touch.stiffness, touch.gradient)
-    blocks = over(
-        "qa,qb,fqm,fcqm,fdqm->cdabm",
-        shape,
-        shape,
-        touch.stiffness,
-        touch.gradient,
-        touch.gradient,
-    )
-    blocks[:2, :2] -= over("qa,qb,qm,cdqm->cdabm", shape, shape, touch.force[1], touch.curvature)
+    g = touch.gradient
+    normal = at_nodes(touch.force)
+    force = at_nodes((touch.force[:, None] * g).sum(0))
+    stiffness = (touch.stiffness[:, None, None] * g[:, :, None] * g[:, None, :]).sum(0)
+    stiffness[:2, :2] -= touch.force[1] * touch.curvature
+    blocks = between_corners(stiffness)
     hold = np.zeros((2, 2, nodes[0].size))
     if friction is not None and number.size:
         w, direction = friction
-        rubs = np.where(problem.glued, 0.0, problem.friction)
+        rubs = np.where(problem.glued, 0.0, problem.friction)[:, None]
         s = friction_direction(w)
-        force[:2] += over("f,fn,fcn->cn", rubs, normal, s)
-        blocks[:2] += over("f,fcam,fdabm->cdabm", rubs, s[:, :, number], change)
-        xx, xy, yy = friction_stiffness(w, direction)
-        turn = np.array([[xx, xy], [xy, yy]])
-        hold = over("f,fn,cdfn->cdn", rubs / problem.slip_length, normal, turn)
+        force[:2] += ((rubs * normal)[:, None] * s).sum(0)
+        # of the normal force of corner a by the displacement d of corner b
+        change = between_corners(touch.stiffness[:, None] * g)
+        along = (rubs[:, :, None] * s)[:, :, number]
+        blocks[:2] += (along[:, :, None, :, None] * change[:, None]).sum(0)
+        xx, xy, yy = rubs * normal / problem.slip_length * friction_stiffness(w, direction)
+        hold = np.array([[xx, xy], [xy, yy]]).sum(2)
     return SideContact(normal, force, blocks, touch.corners, hold, nodes)
 
 
@@ -213,23 +208,33 @@ class _Touch:
 
 def _touching(problem: LayerProblem, state: LayerState) -> _Touch:
     grid, facets = problem.grid, problem.side_facets
-    unloaded = facets.at_points(grid.nodes)
-    x, y, z = unloaded + facets.at_points(state.u)
+    outermost = outermost_height(grid)[:, None, None]
+    share = np.where(problem.glued, GLUED_GAP, GAP)[:, None, None] * problem.side_reach
+    lowest = problem.imprint.lowest(state.load)
+    z = (grid.nodes[2] + state.u[2])[*facets.nodes]
+    # no gap is larger than its share of the outermost element
+    reach = (share * outermost)[:, 0, 0] * np.max(grid.thickness)
+    near = (z.min(0) < reach[0]) | (z.max(0) > lowest - reach[1])
+    corners = facets.nodes[:, :, near]
+    unloaded, moved = (
+        np.tensordot(facets.shape, field[:, *corners], (1, 1)).swapaxes(0, 1)
+        for field in (grid.nodes, state.u)
+    )
+    x, y, z = unloaded + moved
     h, *slopes = problem.imprint.evaluate(x, y, state.load)
     pressed_evenly = problem.imprint.evaluate(unloaded[0], unloaded[1], state.load)[0]
-    outermost = outermost_height(grid)[:, None, None, None]
-    away = np.minimum(np.stack([facets.depth, 1 - facets.depth]), outermost)
-    share = np.where(problem.glued, GLUED_GAP, GAP)[:, None, None, None]
-    gap = problem.side_reach * share * pressed_evenly * away
+    depth = np.broadcast_to(facets.depth, facets.area.shape)[:, near]
+    gap = share * pressed_evenly * np.minimum(np.stack([depth, 1 - depth]), outermost)
     length, slope = penalty(np.stack([-z, z - h]), gap)
     spring = PENALTY * problem.shear_modulus / (outermost * np.median(grid.thickness))
+    stiffness = facets.area[:, near] * spring
     touch = (slope > 0).any((0, 1))
     hx, hy, hxx, hxy, hyy = (each[:, touch] for each in slopes)
     flat, one = np.zeros_like(hx), np.ones_like(hx)
     return _Touch(
-        facets.nodes[:, :, touch],
-        (facets.area * spring * length)[..., touch],
-        (facets.area * spring * slope)[..., touch],
+        corners[:, :, touch],
+        (stiffness * length)[..., touch],
+        (stiffness * slope)[..., touch],
         np.array([[flat, flat, -one], [-hx, -hy, one]]),
         np.array([[hxx, hxy], [hxy, hyy]]),
     )
