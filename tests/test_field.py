@@ -182,7 +182,9 @@ def test_the_field_is_that_of_the_whole_on_fine_elements(coarse, here, tmp_path)
     assert 0.1 < float(shared.mean()) < 0.5
     size = float(np.sqrt((maps["axial_stress"] ** 2).mean()))
     assert float(off.where(shared).mean()) < 0.005 * size
-    assert float(off.max()) < 0.03 * size
+    # but where friction changes its side tiles keep that of the coarse solution
+    assert float(off.max()) < 0.06 * size
+    assert float(off.quantile(0.98)) < 0.02 * size
     # and what they are said to be off by is what they are off by
     said = float(np.sqrt((maps["axial_stress_seam_error"] ** 2).mean()))
     assert 0.2 < float(np.sqrt((off.where(shared) ** 2).mean())) / said < 3
