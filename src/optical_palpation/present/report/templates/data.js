@@ -3,7 +3,9 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 
 async function unpack(text) {
-  const packed = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const letters = atob(text);
+  const packed = new Uint8Array(letters.length);
+  for (let i = 0; i < letters.length; i++) packed[i] = letters.charCodeAt(i);
   const plain = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Uint8Array(await new Response(plain).arrayBuffer());
 }
@@ -22,15 +24,21 @@ async function numbers({ type, data }) {
 
 const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
 
-// Values on evenly spaced pixels; positions in mm.
+// Values on evenly spaced pixels; positions in mm. There are no values before they are loaded.
 class Grid {
-  static async from(entry) {
-    const grid = new Grid();
-    [grid.ny, grid.nx] = entry.shape;
-    [grid.y0, grid.dy] = entry.y;
-    [grid.x0, grid.dx] = entry.x;
-    grid.values = await numbers(entry);
-    return grid;
+  constructor(entry) {
+    this.entry = entry;
+    [this.ny, this.nx] = entry.shape;
+    [this.y0, this.dy] = entry.y;
+    [this.x0, this.dx] = entry.x;
+  }
+
+  load() {
+    this.loading ??= numbers(this.entry).then((values) => {
+      this.values = values;
+      this.entry = null; // the text is no longer needed
+    });
+    return this.loading;
   }
 
   get extent() {

@@ -1,25 +1,35 @@
 // Puts the page together and links its parts through the cursor.
 
 async function build() {
-  const grids = await decoded(data.maps);
-  const masks = await decoded(data.masks);
+  const grids = gridsOf(data.maps);
+  const masks = gridsOf(data.masks);
   const field = span(grids, "extent");
   cursor.limits = span(grids, "centres");
+  const { x, y } = grids[data.profiles.stress.maps[0]].centres;
+  const plots = [];
+  const profiles = [];
 
-  const shown = Object.entries(data.maps).filter(([, entry]) => entry.group);
-  const plots = shown.map(([name, entry]) => {
+  // The stress is on the screen before anything else is unpacked.
+  const first = data.maps[data.stage[0]];
+  await loaded([grids[data.stage[0]], masks[first.mask]]);
+  const stage = new Stage(grids, masks, field, () => {
+    for (const plot of plots) if (plot.scale) plot.recolour();
+    profiles.forEach((plot) => plot.redraw());
+  });
+  plots.push(stage);
+  document.getElementById("stage").append(stage.figure);
+  linkDownloads(stage);
+  cursor.move({ x: middle(x), y: middle(y) });
+  await drawn();
+  performance.mark("first-map");
+
+  await loaded([...Object.values(grids), ...Object.values(masks)]);
+  for (const [name, entry] of Object.entries(data.maps).filter(([, entry]) => entry.group)) {
     const plot = new MapPlot(entry, grids[name], masks[entry.mask], field);
     plot.figure.dataset.map = name;
     document.querySelector(`[data-group="${entry.group}"]`).append(plot.figure);
-    return plot;
-  });
-  const stage = new Stage(grids, masks, field, () => {
-    for (const plot of [stage, ...plots]) if (plot.scale) plot.recolour();
-    profiles.forEach((plot) => plot.redraw());
-  });
-  document.getElementById("stage").append(stage.figure);
-  linkDownloads(stage);
-  const profiles = [];
+    plots.push(plot);
+  }
   for (const [group, profile] of Object.entries(data.profiles)) {
     const place = document.querySelector(`[data-profile="${group}"]`);
     for (const axis of ["x", "y"]) {
@@ -35,17 +45,23 @@ async function build() {
   if (scans.length) linkScans(scans);
   bands.addEventListener("change", () => profiles.forEach((plot) => plot.redraw()));
   bands.parentElement.hidden = !Object.values(data.profiles).some((p) => Object.keys(p.errors).length);
-  linkBar([stage, ...plots], Object.keys(masks).length > 0);
-  const { x, y } = grids[data.profiles.stress.maps[0]].centres;
-  cursor.move({ x: middle(x), y: middle(y) });
+  linkBar(plots, Object.keys(masks).length > 0);
+  cursor.move({}); // what is new follows where the reader has it by now
 }
 
 const middle = ([low, high]) => (low + high) / 2;
 
-async function decoded(entries) {
-  const pairs = Object.entries(entries).map(async ([name, entry]) => [name, await Grid.from(entry)]);
-  return Object.fromEntries(await Promise.all(pairs));
-}
+const gridsOf = (entries) =>
+  Object.fromEntries(Object.entries(entries).map(([name, entry]) => [name, new Grid(entry)]));
+
+const loaded = (grids) => Promise.all(grids.map((grid) => grid?.load()));
+
+// Until the browser has put on the screen what there is. A hidden page is never drawn.
+const drawn = () =>
+  new Promise((resolve) => {
+    requestAnimationFrame(() => setTimeout(resolve));
+    if (document.hidden) resolve();
+  });
 
 // What all grids span together.
 function span(grids, kind) {
@@ -115,7 +131,10 @@ copy.addEventListener("click", async () => {
 
 try {
   await build();
-  requestAnimationFrame(() => (document.documentElement.dataset.ready = "yes"));
+  requestAnimationFrame(() => {
+    performance.mark("all-maps");
+    document.documentElement.dataset.ready = "yes";
+  });
 } catch (error) {
   const failed = document.getElementById("failed");
   failed.textContent = `The maps cannot be drawn (${error}). They need a browser of 2023 or later.`;

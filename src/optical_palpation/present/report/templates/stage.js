@@ -37,11 +37,17 @@ class Stage extends MapPlot {
     }
     controls.clear.addEventListener("click", () => this.remove(() => true));
     this.listenForShapes();
-    this.choose(name);
+    this.turnTo(name);
   }
 
-  // Show another map.
-  choose(name) {
+  // Show another map, as soon as its values are there.
+  async choose(name) {
+    const [grid, mask] = [this.grids[name], this.masks[data.maps[name].mask]];
+    await loaded([grid, mask]);
+    if (controls.map.value === name) this.turnTo(name); // no other was chosen meanwhile
+  }
+
+  turnTo(name) {
     const entry = data.maps[name];
     const [grid, mask] = [this.grids[name], this.masks[entry.mask]];
     Object.assign(this, { name, entry, grid, mask, scale: data.scales[entry.scale] });
