@@ -614,6 +614,36 @@ def test_phone(show, study, width):
     assert small == 0
 
 
+def test_contents_fold_on_a_phone_and_lead_to_every_part(show, study):
+    page = show(study, 390, 844, has_touch=True, is_mobile=True)
+    links = page.locator("#contents a")
+    assert not links.first.is_visible()
+    for k in range(links.count()):
+        page.locator("#contents summary").tap()
+        assert links.nth(k).is_visible()
+        links.nth(k).tap()
+        settle(page)
+        assert not links.first.is_visible()  # folded again, out of the way of what was asked for
+        target = page.locator(links.nth(k).get_attribute("href"))
+        below = page.locator(".bar").evaluate("(e) => e.getBoundingClientRect().bottom")
+        at_end = page.evaluate("() => scrollY + innerHeight >= document.body.scrollHeight - 2")
+        top = target.evaluate("(e) => e.getBoundingClientRect().top")
+        assert below - 1 <= top < 844
+        assert top < below + 40 or at_end
+
+
+def test_contents_stay_in_sight_and_mark_where_the_reader_is(page):
+    links = page.locator("#contents a")
+    current = page.locator("#contents a[aria-current]")
+    assert not page.locator("#contents summary").is_visible()
+    for name in ("Profiles", "Layer", "Python", "Stress"):
+        links.get_by_text(name, exact=True).click()
+        settle(page)
+        assert current.all_inner_texts() == [name]
+        box = current.bounding_box()
+        assert 0 <= box["y"] < 100
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_can_be_read(show, study, scheme):
     """Contrast of at least 4.5, as the accessibility guidelines (WCAG 2.1, 1.4.3) ask for."""

@@ -116,6 +116,48 @@ function linkBar(plots, masked) {
   hatching.addEventListener("change", () => plots.forEach((plot) => plot.paint()));
 }
 
+// The contents: in a row where there is room, else folded until they are asked for.
+function linkContents() {
+  const contents = document.getElementById("contents");
+  const room = matchMedia("(min-width: 60rem)");
+  const unfold = () => (contents.open = room.matches);
+  room.addEventListener("change", unfold);
+  unfold();
+  // What a link leads to must not come to lie below the bar, whose height depends on the width.
+  const bar = document.querySelector(".bar");
+  const root = document.documentElement;
+  new ResizeObserver(() => (root.style.scrollPaddingTop = `${bar.offsetHeight + 8}px`)).observe(bar);
+  const links = [...contents.querySelectorAll("a")];
+  contents.addEventListener("click", (event) => {
+    if (links.includes(event.target) && !room.matches) contents.open = false;
+  });
+  const targets = links.map((link) => document.querySelector(link.hash));
+  const mark = () => {
+    // The last part that has begun in the upper third of the window, or the last one at its end.
+    const ended = scrollY + innerHeight >= root.scrollHeight - 2;
+    const begun = targets.filter((e) => e.getBoundingClientRect().top < innerHeight / 3);
+    const current = (ended ? targets : begun).at(-1);
+    links.forEach((link, k) => {
+      if (targets[k] === current) link.setAttribute("aria-current", "true");
+      else link.removeAttribute("aria-current");
+    });
+  };
+  let waiting = false;
+  addEventListener(
+    "scroll",
+    () => {
+      if (waiting) return;
+      waiting = true;
+      requestAnimationFrame(() => {
+        waiting = false;
+        mark();
+      });
+    },
+    { passive: true },
+  );
+  mark();
+}
+
 const copy = document.getElementById("copy");
 copy.addEventListener("click", async () => {
   const code = document.getElementById("code");
@@ -129,6 +171,7 @@ copy.addEventListener("click", async () => {
   }
 });
 
+linkContents();
 try {
   await build();
   requestAnimationFrame(() => {
