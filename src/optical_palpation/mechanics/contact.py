@@ -152,12 +152,14 @@ def linearise(
     problem: LayerProblem,
     state: LayerState,
     force: Array,
+    slip: Array,
     direction: Array,
     bound: Array | None = None,
 ) -> ContactLinearisation:
     """Linearise contact and friction at ``state`` with the internal nodal ``force``.
 
-    ``force`` includes what presses the sides; ``direction`` is the unknown s, (2, 2, m). Friction
+    ``force`` includes what presses the sides; ``slip`` is the w of ``slip_coordinate`` and
+    ``direction`` the unknown s, both (2, 2, m). Friction
     is bounded by the contact forces themselves or, if given, by the normal forces ``bound``
     (2, ny + 1, nx + 1), mN.
     """
@@ -182,7 +184,7 @@ def linearise(
     spring = np.where(rigid, 0.0, slope * c / np.where(rigid, 1.0, other))
     off = np.zeros((2, 3, *c.shape))
 
-    w, _ = face_and_sides(slip_coordinate(problem, state), c.shape)
+    w, _ = face_and_sides(slip, c.shape)
     s = friction_direction(w)
     friction = np.asarray(problem.friction)[:, None, None]
     if bound is None:

@@ -126,9 +126,10 @@ def balance(
         force += drag.force(problem, state.u)
     if problem.border is not None:
         force[:, *problem.border.nodes] += problem.border.resistance(state.u)
+    w = slip_coordinate(problem, state)
     if direction is None:
-        direction = friction_direction(slip_coordinate(problem, state))
-    _, slip = face_and_sides(slip_coordinate(problem, state), problem.grid.node_shape[1:])
+        direction = friction_direction(w)
+    _, slip = face_and_sides(w, problem.grid.node_shape[1:])
     _, along = face_and_sides(direction, problem.grid.node_shape[1:])
     sides = side_contact(problem, state, (slip, along))
     force[:, *sides.nodes] += sides.force
@@ -138,7 +139,7 @@ def balance(
         held[glued] = np.stack([force[2, 0], -force[2, -1]])[glued]
         state = replace(state, normal_force=held)
     bound = None if drag is None else drag.bound
-    contact = linearise(problem, state, force, direction, bound)
+    contact = linearise(problem, state, force, w, direction, bound)
     out = force.copy()
     for face, k, sign in ((WINDOW, 0, -1.0), (SAMPLE, -1, 1.0)):
         out[:2, k] += contact.row[face] * force[2, k] + contact.traction[face]

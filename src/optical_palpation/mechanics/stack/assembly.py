@@ -143,6 +143,7 @@ def assemble(
     element_height, _, width = layer_grid.spacing
     window, interface, base = (grid.surface_areas(nodes).ravel() for grid, nodes in surfaces)
     at_window, at_interface, at_plate = blocks.friction
+    k, j, i = layer_grid.side_nodes
     stack = Stack(
         bodies=(layer, sample),
         contacts=(
@@ -151,7 +152,7 @@ def assemble(
             Plane(below[-1].ravel(), 1.0, at_plate),
         ),
         sides=Sides(
-            number[1:-1].reshape(-1)[_at_sides(layer_grid)],
+            number[k, j, i][(k > 0) & (k < k.max())],
             blocks.law.shear_modulus * width,
             element_height,
         ),
@@ -165,13 +166,6 @@ def assemble(
     strain = min(0.5, pressure / (3 * stack.shear_modulus))
     sides = replace(stack.sides, height=(1 - strain) * element_height)
     return replace(stack, sides=sides)
-
-
-def _at_sides(grid: LayerGrid) -> NDArray[np.bool_]:
-    """Which nodes between the faces are on the sides."""
-    inside = np.ones(grid.node_shape, bool)[1:-1]
-    inside[:, 1:-1, 1:-1] = False
-    return inside.ravel()
 
 
 def _lateral(

@@ -15,13 +15,10 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ..contact import (
-    STIFF,
-    smooth_maximum,
-)
+from .. import friction as law
+from ..contact import STIFF, smooth_maximum
 from ..faces import area_vectors
 from ..friction import direction_step, friction_direction, friction_stiffness
-from ..friction import remembered as _kept
 from ..side_contact import penalty
 from .linear import Coupling, Surface
 from .projection import Projection
@@ -211,5 +208,5 @@ def remembered(
 ) -> ContactState:
     """Return the state from which the next load starts."""
     w = friction_memory(state, position, slip_length)
-    w = np.where(touching(projection, state, scale)[:, None], _kept(w), 0.0)
+    w = np.where(touching(projection, state, scale)[:, None], law.remembered(w), 0.0)
     return ContactState(state.force, w, projection, projection.lateral(position))
