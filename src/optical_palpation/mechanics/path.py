@@ -206,10 +206,13 @@ def settle(
     control: StepControl | None = None,
     report: Report | None = None,
 ) -> tuple[LayerState, list[tuple[float, int]]]:
-    """Let a fully loaded layer that is not in equilibrium come to rest; as ``follow``."""
+    """Let a fully loaded layer that is not in equilibrium come to rest; as ``follow``.
+
+    How it gets there is no part of its history: slip goes on counting from where it did at first.
+    """
     path = Path(start, start, report, _CARRIED)
     control = control or StepControl()
-    _settle(problem, solver, tolerances, intermediate, path, _SNAP, control.easy)
+    _settle(problem, solver, tolerances, intermediate, path, _SNAP, control.easy, moves=False)
     return path.state, path.record
 
 
@@ -222,6 +225,7 @@ def _settle(
     step: float,
     easy: int,
     stay: bool = False,
+    moves: bool = True,
 ) -> None:
     """Go on along a path against drag: to full load and rest, or to next to no drag before that.
 
@@ -229,7 +233,8 @@ def _settle(
     by the mean of these and the bound before: great friction at free edges would swing with them.
     When they no longer change, and nothing moves, the state is one of equilibrium as it stands.
     Newton's method, with friction bounded by what is sought, is tried again whenever a tenth is
-    left of what was out of balance.
+    left of what was out of balance. Where the layer ``moves``, it slips on its way, and friction
+    remembers that.
     """
     unit = problem.shear_modulus / float(np.median(problem.grid.thickness)) ** 2
     viscosity, held, wanted, near = _VISCOSITY, 0, intermediate, np.inf
@@ -248,7 +253,8 @@ def _settle(
             continue
         force = float(np.linalg.norm(drag.force(problem, now.state.u)))
         share = force / max(float(np.linalg.norm(now.state.normal_force)), 1e-30)
-        remember_slip(problem, now.state)
+        if moves:
+            remember_slip(problem, now.state)
         path.advance(now.state, count)
         if count <= easy:
             step *= 1.5
