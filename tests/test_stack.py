@@ -35,7 +35,9 @@ def pressed(**sample):
         assembly, at_rest(assembly), column_forces(assembly), make_solver(assembly), target=0.4
     )
     # sliding that is neither none nor all, so that friction depends on it
-    assembly = replace(assembly, slip_length=0.02)
+    # and sides that begin to roll onto both planes
+    sides = tuple(replace(side, flattened=1.6) for side in assembly.sides)
+    assembly = replace(assembly, slip_length=0.02, sides=sides)
     rng = np.random.default_rng(0)
     state = path.state
     u = state.u + 2e-3 * rng.normal(size=state.u.shape)
@@ -73,6 +75,7 @@ def test_step_is_that_of_the_derivative_of_all_residuals(sample, monkeypatch):
     assembly, state = pressed(**sample)
     now = balance(assembly, state)
     assert (np.abs(now.terms[INTERFACE].slip) > 0.3).any()
+    assert all(side.normal_force.any() for side in now.sides)
     du, dp, dn, _ = newton_step(assembly, now, Exact(make_solver(assembly)))
 
     def at(fraction):

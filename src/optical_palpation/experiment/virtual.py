@@ -130,8 +130,7 @@ def run_experiment(
     maps["algebraic_axial_stress"] = algebraic_stress(
         maps["loaded_thickness"], scene.layer.thickness, scene.layer.material
     )
-    window, interface, plate = (float(force.sum()) for force in state.forces)
-    window += float(stack.sides.force(stack.position(state.u))[0].sum())
+    window, interface, plate = stack.total_forces(state)
     maps.attrs = {
         "method": "virtual experiment",
         **scene.layer.material.attributes,

@@ -27,6 +27,7 @@ from .friction import friction_direction, friction_stiffness
 from .grid import LayerGrid
 
 if TYPE_CHECKING:
+    from .body import Body
     from .problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
@@ -73,6 +74,11 @@ class Facets:
     shape: Array
     depth: Array
     area: Array
+
+    def at_points(self, field: Array, these: NDArray[np.bool_]) -> Array:
+        """A nodal field (c, nz + 1, ny + 1, nx + 1) at the points of ``these``, (c, points, m)."""
+        corners = field[:, *self.nodes[:, :, these]]
+        return np.tensordot(self.shape, corners, (1, 1)).swapaxes(0, 1)
 
     @classmethod
     def of(cls, grid: LayerGrid, sides: tuple[bool, bool, bool, bool]) -> Facets:
@@ -151,9 +157,144 @@ def side_contact(
     ``friction`` are the slip w and the unknown s of the side nodes, (2, 2, n); without them there
     is no friction in what is returned.
     """
-    nodes, shape = problem.grid.side_nodes, problem.side_facets.shape
+    rubs = np.where(problem.glued, 0.0, problem.friction)
     touch = _touching(problem, state)
-    number = _numbers(problem.grid, touch.corners)
+    return _contact(problem.grid, problem.side_facets, touch, rubs, problem.slip_length, friction)
+
+
+def _touching(problem: LayerProblem, state: LayerState) -> _Touch:
+    grid, facets = problem.grid, problem.side_facets
+    outermost = outermost_height(grid)[:, None, None]
+    share = np.where(problem.glued, GLUED_GAP, GAP)[:, None, None] * problem.side_reach
+    lowest = problem.imprint.lowest(state.load)
+    z = (grid.nodes[2] + state.u[2])[*facets.nodes]
+    # no gap is larger than its share of the outermost element
+    reach = (share * outermost)[:, 0, 0] * np.max(grid.thickness)
+    near = (z.min(0) < reach[0]) | (z.max(0) > lowest - reach[1])
+    unloaded = facets.at_points(grid.nodes, near)
+    x, y, z = unloaded + facets.at_points(state.u, near)
+    h, *slopes = problem.imprint.evaluate(x, y, state.load)
+    pressed_evenly = problem.imprint.evaluate(unloaded[0], unloaded[1], state.load)[0]
+    depth = np.broadcast_to(facets.depth, facets.area.shape)[:, near]
+    gap = share * pressed_evenly * np.minimum(np.stack([depth, 1 - depth]), outermost)
+    spring = PENALTY * problem.shear_modulus / (outermost * np.median(grid.thickness))
+    hx, hy, hxx, hxy, hyy = slopes
+    flat, one = np.zeros_like(hx), np.ones_like(hx)
+    return _touch(
+        facets,
+        near,
+        np.stack([-z, z - h]),
+        gap,
+        spring,
+        np.array([[flat, flat, -one], [-hx, -hy, one]]),
+        np.array([[hxx, hxy], [hxy, hyy]]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneSides:
+    """Contact of the free sides of a body with the rigid plane on which its outer face lies.
+
+    Attributes
+    ----------
+    body, facets
+        The body, and the element faces of its sides.
+    sign
+        On which side of the body the plane is: -1 towards -z, +1 towards +z.
+    friction
+        At the plane.
+    flattened
+        Height of the body where it is pressed evenly, as a share of its unloaded one.
+    """
+
+    body: Body
+    facets: Facets
+    sign: float
+    friction: float
+    flattened: float
+
+    def contact(
+        self, u: Array, height: float, slip_length: float, friction: tuple[Array, Array]
+    ) -> SideContact:
+        """Contact with the plane z = ``height`` at a displacement, as ``side_contact``.
+
+        ``u`` (3, nz + 1, ny + 1, nx + 1), mm; ``friction``: w and s of the side nodes, (2, n).
+        """
+        grid, facets, sign = self.body.grid, self.facets, self.sign
+        outermost = outermost_height(grid)[0 if sign < 0 else 1]
+        thickness = float(np.median(grid.thickness))
+        z = (self.body.nodes[2] + u[2])[*facets.nodes]
+        near = (sign * (z - height)).max(0) > -GAP * outermost * np.max(grid.thickness)
+        unloaded = facets.at_points(self.body.nodes, near)[2]
+        z = unloaded + facets.at_points(u, near)[2]
+        face = float(self.body.nodes[2, 0 if sign < 0 else -1].mean())
+        away = np.minimum(sign * (face - unloaded), outermost * thickness)
+        element = np.minimum(facets.nodes.min(1), np.array(grid.shape)[:, None, None] - 1)
+        factor = np.broadcast_to(self.body.factor, grid.shape)[*element][near]
+        flat = np.zeros_like(z)
+        touch = _touch(
+            facets,
+            near,
+            sign * (z - height)[None],
+            GAP * self.flattened * away[None],
+            PENALTY * self.body.law.shear_modulus * factor / (outermost * thickness),
+            np.array([[flat, flat, flat + sign]]),
+            np.zeros((2, 2, *z.shape)),
+        )
+        rubs = np.array([self.friction])
+        w, direction = friction
+        return _contact(grid, facets, touch, rubs, slip_length, (w[None], direction[None]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Touch:
+    """What presses the integration points of those m facets that touch one of some surfaces.
+
+    ``corners`` (3, 4, m) are their indices (k, j, i), ``force`` (surfaces, points, m), mN, and
+    ``stiffness`` mN / mm, those of the penalty; ``gradient`` (surfaces, 3, points, m) that of the
+    penetration and ``curvature`` (2, 2, points, m), 1 / mm, that of the last surface.
+    """
+
+    corners: Indices
+    force: Array
+    stiffness: Array
+    gradient: Array
+    curvature: Array
+
+
+def _touch(
+    facets: Facets,
+    near: NDArray[np.bool_],
+    penetration: Array,
+    gap: Array,
+    spring: Array,
+    gradient: Array,
+    curvature: Array,
+) -> _Touch:
+    """Press on those facets that touch of those that are ``near``; ``spring`` in kPa / mm."""
+    length, slope = penalty(penetration, gap)
+    stiffness = facets.area[:, near] * spring
+    touch = (slope > 0).any((0, 1))
+    return _Touch(
+        facets.nodes[:, :, near][:, :, touch],
+        (stiffness * length)[..., touch],
+        (stiffness * slope)[..., touch],
+        gradient[..., touch],
+        curvature[..., touch],
+    )
+
+
+def _contact(
+    grid: LayerGrid,
+    facets: Facets,
+    touch: _Touch,
+    rubs: Array,
+    slip_length: float,
+    friction: tuple[Array, Array] | None,
+) -> SideContact:
+    """Forces and stiffness at the nodes; ``rubs`` is the friction of each surface, (surfaces,)."""
+    nodes, shape = grid.side_nodes, facets.shape
+    number = _numbers(grid, touch.corners)
     pairs = shape[:, :, None] * shape[:, None, :]
 
     def at_nodes(values: Array) -> Array:
@@ -173,71 +314,20 @@ def side_contact(
     normal = at_nodes(touch.force)
     force = at_nodes((touch.force[:, None] * g).sum(0))
     stiffness = (touch.stiffness[:, None, None] * g[:, :, None] * g[:, None, :]).sum(0)
-    stiffness[:2, :2] -= touch.force[1] * touch.curvature
+    stiffness[:2, :2] -= touch.force[-1] * touch.curvature
     blocks = between_corners(stiffness)
     hold = np.zeros((2, 2, nodes[0].size))
     if friction is not None and number.size:
         w, direction = friction
-        rubs = np.where(problem.glued, 0.0, problem.friction)[:, None]
         s = friction_direction(w)
-        force[:2] += ((rubs * normal)[:, None] * s).sum(0)
+        force[:2] += ((rubs[:, None] * normal)[:, None] * s).sum(0)
         # of the normal force of corner a by the displacement d of corner b
         change = between_corners(touch.stiffness[:, None] * g)
-        along = (rubs[:, :, None] * s)[:, :, number]
+        along = (rubs[:, None, None] * s)[:, :, number]
         blocks[:2] += (along[:, :, None, :, None] * change[:, None]).sum(0)
-        xx, xy, yy = rubs * normal / problem.slip_length * friction_stiffness(w, direction)
+        xx, xy, yy = rubs[:, None] * normal / slip_length * friction_stiffness(w, direction)
         hold = np.array([[xx, xy], [xy, yy]]).sum(2)
     return SideContact(normal, force, blocks, touch.corners, hold, nodes)
-
-
-@dataclass(frozen=True, eq=False)
-class _Touch:
-    """What presses the integration points of those m facets that touch.
-
-    ``corners`` (3, 4, m) are their indices (k, j, i), ``force`` (2, points, m), mN, and
-    ``stiffness`` mN / mm, those of the penalty; ``gradient`` (2, 3, points, m) that of the
-    penetration and ``curvature`` (2, 2, points, m), 1 / mm, that of the imprint.
-    """
-
-    corners: Indices
-    force: Array
-    stiffness: Array
-    gradient: Array
-    curvature: Array
-
-
-def _touching(problem: LayerProblem, state: LayerState) -> _Touch:
-    grid, facets = problem.grid, problem.side_facets
-    outermost = outermost_height(grid)[:, None, None]
-    share = np.where(problem.glued, GLUED_GAP, GAP)[:, None, None] * problem.side_reach
-    lowest = problem.imprint.lowest(state.load)
-    z = (grid.nodes[2] + state.u[2])[*facets.nodes]
-    # no gap is larger than its share of the outermost element
-    reach = (share * outermost)[:, 0, 0] * np.max(grid.thickness)
-    near = (z.min(0) < reach[0]) | (z.max(0) > lowest - reach[1])
-    corners = facets.nodes[:, :, near]
-    unloaded, moved = (
-        np.tensordot(facets.shape, field[:, *corners], (1, 1)).swapaxes(0, 1)
-        for field in (grid.nodes, state.u)
-    )
-    x, y, z = unloaded + moved
-    h, *slopes = problem.imprint.evaluate(x, y, state.load)
-    pressed_evenly = problem.imprint.evaluate(unloaded[0], unloaded[1], state.load)[0]
-    depth = np.broadcast_to(facets.depth, facets.area.shape)[:, near]
-    gap = share * pressed_evenly * np.minimum(np.stack([depth, 1 - depth]), outermost)
-    length, slope = penalty(np.stack([-z, z - h]), gap)
-    spring = PENALTY * problem.shear_modulus / (outermost * np.median(grid.thickness))
-    stiffness = facets.area[:, near] * spring
-    touch = (slope > 0).any((0, 1))
-    hx, hy, hxx, hxy, hyy = (each[:, touch] for each in slopes)
-    flat, one = np.zeros_like(hx), np.ones_like(hx)
-    return _Touch(
-        corners[:, :, touch],
-        (stiffness * length)[..., touch],
-        (stiffness * slope)[..., touch],
-        np.array([[flat, flat, -one], [-hx, -hy, one]]),
-        np.array([[hxx, hxy], [hxy, hyy]]),
-    )
 
 
 def _numbers(grid: LayerGrid, indices: Indices) -> Indices:

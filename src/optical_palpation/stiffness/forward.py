@@ -261,8 +261,7 @@ class Pressed:
     @property
     def force(self) -> float:
         """Total force on the window, mN."""
-        sides = self.stack.sides.force(self.stack.position(self.state.u))[0].sum()
-        return float(self.state.forces[WINDOW].sum() + sides)
+        return self.stack.total_forces(self.state)[WINDOW]
 
     @property
     def slaves(self) -> LayerGrid:
@@ -306,11 +305,11 @@ class Pressed:
         slope_x, slope_y = measured(x, y, dx=1), measured(x, y, dy=1)
         thickness = moved[3 * top + 2]
         thickness -= slope_x[:, None] * moved[3 * top] + slope_y[:, None] * moved[3 * top + 1]
-        contact = tangent.contact_forces[INTERFACE] @ moved
+        contact = tangent.contact_forces[INTERFACE] @ moved  # all that the layer carries
         return Sensitivity(
             thickness=thickness,
             pressure=contact / stack.areas[INTERFACE][:, None],
-            force=np.asarray((tangent.contact_forces[WINDOW] @ moved).sum(0)),
+            force=np.asarray(contact.sum(0)),
         )
 
 

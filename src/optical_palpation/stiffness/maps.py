@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from optical_palpation.mechanics.grid import node_positions
 from optical_palpation.mechanics.stack.assembly import Blocks
 from optical_palpation.mechanics.stack.newton import balance
-from optical_palpation.mechanics.stack.problem import LAYER
+from optical_palpation.mechanics.stack.problem import LAYER, WINDOW
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.computational import residuals
 from optical_palpation.palpation.result import StressResult
@@ -177,9 +177,8 @@ def _of_load(
     for name, values in new.items():
         units, text = SAMPLE_MAPS[name]
         maps[name] = (("y", "x"), values, {"units": units, "long_name": text})
-    window, interface, plate = (float(force.sum()) for force in state.forces)
-    sides = float(stack.sides.force(stack.position(state.u))[0].sum())
-    window += sides
+    window, interface, plate = stack.total_forces(state)
+    sides = window - float(state.forces[WINDOW].sum())
     largest = max(window, interface, plate)
     maps.attrs = {
         "window_force_mN": window,

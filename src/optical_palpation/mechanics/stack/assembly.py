@@ -13,7 +13,7 @@ from optical_palpation.material import Law
 
 from ..body import Body
 from ..grid import LayerGrid, node_positions
-from .contact import Sides
+from ..side_contact import Facets, PlaneSides
 from .problem import WINDOW, Stack, column_forces
 from .projection import Interface, Plane
 
@@ -140,10 +140,9 @@ def assemble(
         (slave, (sample.nodes[:, 0] if side > 0 else layer.nodes[:, -1])),
         (sample_grid, sample.nodes[:, -1]),
     )
-    element_height, _, width = layer_grid.spacing
     window, interface, base = (grid.surface_areas(nodes).ravel() for grid, nodes in surfaces)
     at_window, at_interface, at_plate = blocks.friction
-    k, j, i = layer_grid.side_nodes
+    free = (True, True, True, True)
     stack = Stack(
         bodies=(layer, sample),
         contacts=(
@@ -151,10 +150,9 @@ def assemble(
             Interface(faces[0], faces[1], at_interface, side, start, master.spacing[2]),
             Plane(below[-1].ravel(), 1.0, at_plate),
         ),
-        sides=Sides(
-            number[k, j, i][(k > 0) & (k < k.max())],
-            blocks.law.shear_modulus * width,
-            element_height,
+        sides=(
+            PlaneSides(layer, Facets.of(layer_grid, free), -1.0, at_window, 1.0),
+            PlaneSides(sample, Facets.of(sample_grid, free), 1.0, at_plate, 1.0),
         ),
         slave_grids=(layer_grid, slave, sample_grid),
         areas=(window, interface, base),
@@ -163,9 +161,11 @@ def assemble(
         slip_length=_SLIP_LENGTH * typical,
     )
     pressure = column_forces(stack)[WINDOW].sum() / window.sum()
-    strain = min(0.5, pressure / (3 * stack.shear_modulus))
-    sides = replace(stack.sides, height=(1 - strain) * element_height)
-    return replace(stack, sides=sides)
+    on_layer, on_sample = (
+        replace(sides, flattened=1 - min(0.5, pressure / (3 * sides.body.law.shear_modulus)))
+        for sides in stack.sides
+    )
+    return replace(stack, sides=(on_layer, on_sample))
 
 
 def _lateral(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..iteration import NotConverged
 from ..path import LoadNotReached, StepControl
-from .contact import ContactState
+from .contact import ContactState, SideState
 from .linear import StackSolver
 from .newton import Balance, equilibrate, make_solver
 from .path import Path, follow, tolerances
@@ -113,6 +113,10 @@ def _prolonged(state: State, coarse: Stack, fine: Stack) -> State:
         for (to, of), p in zip(pairs, state.p, strict=True)
     )
     u = np.concatenate([field.reshape(3, -1).T for field in fields])
+    sides = [
+        SideState(to.grid.interpolate_sides_from(of.grid, own.memory), place)
+        for (to, of), own, place in zip(pairs, state.sides, fine.at_sides(u), strict=True)
+    ]
     position = fine.position(u)
     return State(
         load=state.load,
@@ -124,6 +128,7 @@ def _prolonged(state: State, coarse: Stack, fine: Stack) -> State:
                 contacts, fine.project(position, state.load), strict=True
             )
         ),
+        sides=(sides[0], sides[1]),
     )
 
 
@@ -136,4 +141,8 @@ def _anchored(state: State, stack: Stack) -> State:
             state.contacts, stack.project(position, state.load), strict=True
         )
     )
-    return replace(state, contacts=contacts)
+    layer, sample = (
+        replace(own, anchor=place)
+        for own, place in zip(state.sides, stack.at_sides(state.u), strict=True)
+    )
+    return replace(state, contacts=contacts, sides=(layer, sample))

@@ -19,16 +19,11 @@ from .. import friction as law
 from ..contact import STIFF, smooth_maximum
 from ..faces import area_vectors
 from ..friction import direction_step, friction_direction, friction_stiffness
-from ..side_contact import penalty
 from .linear import Coupling, Surface
 from .projection import Projection
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
-
-#: Penalty of the sides in shear moduli per element height, and the gap at which it begins as a
-#: share of the height that the outermost element would have if the layer were pressed evenly.
-_SIDE_PENALTY, _SIDE_GAP = 12.0, 0.75
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,22 +127,20 @@ class ContactTerms:
 
 
 @dataclass(frozen=True, eq=False)
-class Sides:
-    """Contact of the layer's sides with the window, onto which they roll.
+class SideState:
+    """Friction memory w of the side nodes of a body, (2, n), and where they were, (2, n), mm."""
 
-    A smooth penalty at the nodes, without friction. ``nodes`` (n) are numbers,
-    ``stiffness`` the shear modulus by a node's width, kPa mm, ``height`` that of an element if the
-    layer were pressed evenly, mm.
-    """
+    memory: Array
+    anchor: Array
 
-    nodes: Numbers
-    stiffness: float
-    height: float
+    def slip(self, u: Array, slip_length: float) -> Array:
+        """Present w of the friction law (2, n), of their lateral displacement u (2, n)."""
+        return self.memory + (u - self.anchor) / slip_length
 
-    def force(self, position: Array) -> tuple[Array, Array]:
-        """Vertical force (n), mN, and its derivative by the penetration, mN / mm."""
-        length, slope = penalty(-position[self.nodes, 2], _SIDE_GAP * self.height)
-        return _SIDE_PENALTY * self.stiffness * length, _SIDE_PENALTY * self.stiffness * slope
+    def remembered(self, u: Array, slip_length: float, touching: NDArray[np.bool_]) -> SideState:
+        """Return the state from which the next load starts."""
+        w = law.remembered(self.slip(u, slip_length)[None])[0]
+        return SideState(np.where(touching, w, 0.0), u)
 
 
 def linearise(

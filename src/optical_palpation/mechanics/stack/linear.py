@@ -29,6 +29,7 @@ from ..body import Body
 from ..krylov import gmres
 from ..multigrid import Hierarchy
 from ..schur import SchurComplement
+from ..side_contact import SideContact
 from ..stencil import (
     constrain,
     empty_stencil,
@@ -96,14 +97,15 @@ class BodyEquations:
     """Linearised equations of one body at displacement ``u`` and pressure ``p``.
 
     ``residual`` are the nodal forces out of balance with the contact forces as they are, mN, and
-    ``diagonal`` stiffness that is added on the diagonal, mN / mm, both of the shape of u;
-    ``volume_residual`` and ``volume`` as of ``ElementForces``.
+    ``diagonal`` stiffness that is added on the diagonal, mN / mm, both of the shape of u; ``sides``
+    what presses the sides; ``volume_residual`` and ``volume`` as of ``ElementForces``.
     """
 
     u: Array
     p: Array
     residual: Array
     diagonal: Array
+    sides: SideContact
     volume_residual: Array
     volume: Array
 
@@ -278,6 +280,7 @@ class _System:
             for k, plane in enumerate(planes):
                 diagonal = plane[:, 13, :, :nx1]
                 diagonal[:, [0, 4, 8]] += equations.diagonal[:, k].swapaxes(0, 1)
+                equations.sides.add_stiffness(plane, k)
                 if k == k_outer:
                     diagonal[:, [0, 1, 3, 4]] += _blocks(outer[body].friction)
                 store(plane, solver.stencils[body], k)

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from ..body import ElementForces
 from ..contact import SMOOTHING
-from ..friction import friction_direction
+from ..friction import direction_step, friction_direction
 from ..iteration import Direction, NotConverged, Tolerances, iterate
+from ..side_contact import SideContact
 from .contact import ContactTerms, friction_memory, linearise
 from .linear import BodyEquations, StackEquations, StackSolver
 from .problem import LAYER, PLATE, SAMPLE, WINDOW, Stack, State
@@ -31,7 +32,8 @@ _DAMPING = 30.0
 class Balance:
     """Internal forces and contact of a state, and how far it is from equilibrium.
 
-    ``directions`` are those of friction, unknowns of their own (see ``linearise``).
+    ``directions`` are those of friction, unknowns of their own (see ``linearise``): of the
+    contacts, (n, 2), and of the ``sides`` of both bodies, (2, n).
     ``residual`` (n_nodes, 3) are the nodal forces out of balance, mN, ``imbalance`` the 2-norm of
     these and of the violations of the laws of contact, mN; ``force_error`` its share of the contact
     forces.
@@ -41,6 +43,7 @@ class Balance:
     directions: Sequence[Array]
     bodies: list[ElementForces]
     terms: list[ContactTerms]
+    sides: list[SideContact]
     residual: Array
     imbalance: float
     force_error: float
@@ -65,6 +68,8 @@ def balance(
             friction_direction(friction_memory(contact, position, stack.slip_length))
             for contact in state.contacts
         ]
+        directions += [friction_direction(w[None])[0] for w in stack.side_slip(state)]
+    sides = stack.side_contacts(state, directions[len(state.contacts) :])
     terms = [
         linearise(
             contact.friction,
@@ -82,12 +87,13 @@ def balance(
             state.contacts,
             stack.scales,
             stack.areas,
-            directions,
+            directions[: len(state.contacts)],
             strict=True,
         )
     ]
+    for part, side in zip(parts, sides, strict=True):
+        part.force[:, *side.nodes] += side.force
     out = np.concatenate([part.force.reshape(3, -1).T for part in parts])
-    out[stack.sides.nodes, 2] -= stack.sides.force(position)[0]
     for term in terms:
         np.add.at(out, term.projection.nodes, term.residual)
     scale = max(float(np.linalg.norm(np.concatenate(state.forces))), 1e-30)
@@ -101,6 +107,7 @@ def balance(
         directions=directions,
         bodies=parts,
         terms=terms,
+        sides=sides,
         residual=out,
         imbalance=imbalance,
         force_error=imbalance / scale,
@@ -122,7 +129,6 @@ def newton_step(
     # move it far.
     hold = _HOLD * stack.shear_modulus * stack.bodies[LAYER].grid.spacing[2]
     held = np.full((stack.n_nodes, 3), hold)
-    held[stack.sides.nodes, 2] += stack.sides.force(stack.position(state.u))[1]
     if damping > 0:
         volumes = [body.grid.node_volumes.ravel() for body in stack.bodies]
         held += damping * np.concatenate(volumes)[:, None]
@@ -131,12 +137,13 @@ def newton_step(
         state.p,
         stack.split(now.residual),
         stack.split(held),
+        now.sides,
         now.bodies,
         strict=True,
     )
     layer, sample = (
-        BodyEquations(u, p, residual, diagonal, part.volume_residual, part.reference_volume)
-        for u, p, residual, diagonal, part in parts
+        BodyEquations(u, p, residual, diagonal, side, part.volume_residual, part.reference_volume)
+        for u, p, residual, diagonal, side, part in parts
     )
     window, interface, plate = now.terms
     _, contact, _ = stack.contacts
@@ -188,18 +195,29 @@ def equilibrate(
             raise NotConverged("the linear system could not be solved")
         turns = [
             term.turn(du, old, stack.slip_length)
-            for term, old in zip(now.terms, now.directions, strict=True)
+            for term, old in zip(now.terms, now.directions, strict=False)
+        ]
+        slips, steps = stack.side_slip(now.state), stack.at_sides(du / stack.slip_length)
+        turns += [
+            direction_step(w[None], old[None], step[None])[0]
+            for w, old, step in zip(slips, now.directions[len(turns) :], steps, strict=True)
         ]
 
         def follow(fraction: float) -> Balance:
-            turned = [d + fraction * turn for d, turn in zip(now.directions, turns, strict=True)]
-            turned = [d / np.maximum(1.0, np.linalg.norm(d, axis=1)[:, None]) for d in turned]
+            turned = [
+                old + fraction * turn for old, turn in zip(now.directions, turns, strict=True)
+            ]
+            turned = [
+                d / np.maximum(1.0, np.linalg.norm(d, axis=axis, keepdims=True))
+                for d, axis in zip(turned, (1, 1, 1, 0, 0), strict=True)
+            ]
             return balance(stack, now.state.stepped(fraction, du, dp, dn), directions=turned)
 
         return Direction(follow, krylov)
 
     least = _DAMPING * stack.shear_modulus / stack.plate**2
     directions = [friction_direction(contact.memory) for contact in state.contacts]
+    directions += [friction_direction(side.memory[None])[0] for side in state.sides]
     start = balance(stack, state, directions=directions)
     now, count = iterate(start, direction, tolerances, least, report)
     return now.state, count

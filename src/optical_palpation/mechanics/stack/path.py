@@ -114,4 +114,10 @@ def remember(stack: Stack, state: State) -> State:
             stack.project(position, state.load), state.contacts, stack.scales, strict=True
         )
     )
-    return replace(state, contacts=contacts)
+    layer, sample = (
+        own.remembered(u, stack.slip_length, side.normal_force > 0)
+        for own, u, side in zip(
+            state.sides, stack.at_sides(state.u), stack.side_contacts(state), strict=True
+        )
+    )
+    return replace(state, contacts=contacts, sides=(layer, sample))

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from ..body import Body
+from ..friction import friction_direction
 from ..grid import LayerGrid
-from .contact import ContactState, Sides
+from ..side_contact import PlaneSides, SideContact
+from .contact import ContactState, SideState
 from .projection import Interface, Plane, Projection
 
 Array = NDArray[np.float64]
@@ -23,15 +25,16 @@ WINDOW, INTERFACE, PLATE = 0, 1, 2
 class Stack:
     """Window (z = 0), layer, sample and plate; nodes are numbered layer first.
 
-    ``contacts`` are those at the window, between layer and sample and at the plate, ``sides`` that
-    of the layer's sides. ``slave_grids`` are the grids of the bodies that the slaves belong to,
+    ``contacts`` are those at the window, between layer and sample and at the plate, ``sides`` those
+    of the layer's sides with the window and of the sample's with the plate. ``slave_grids`` are the
+    grids of the bodies that the slaves belong to,
     ``areas`` the slaves' shares of the surface and ``scales`` c of their law; ``plate`` the plate's
     z at rest, ``compression`` its travel, mm; ``slip_length`` that of the friction law.
     """
 
     bodies: tuple[Body, Body]
     contacts: tuple[Plane, Interface, Plane]
-    sides: Sides
+    sides: tuple[PlaneSides, PlaneSides]
     slave_grids: tuple[LayerGrid, LayerGrid, LayerGrid]
     areas: tuple[Array, Array, Array]
     plate: float
@@ -82,15 +85,52 @@ class Stack:
             plate.project(position, height),
         ]
 
+    def plane(self, body: int, load: float) -> float:
+        """Height of the rigid plane that a body lies on, mm."""
+        return 0.0 if body == LAYER else self.plate - load * self.compression
+
+    def at_sides(self, u: Array) -> list[Array]:
+        """Lateral part (2, n) of ``u`` (n_nodes, 3) on the ``LayerGrid.side_nodes`` of both."""
+        fields = zip(self.split(u), self.bodies, strict=True)
+        return [field[:2, *body.grid.side_nodes] for field, body in fields]
+
+    def side_contacts(
+        self, state: State, directions: Sequence[Array] | None = None
+    ) -> list[SideContact]:
+        """Contact of the sides of both bodies; ``directions`` (2, n) those of friction."""
+        fields, slips = self.split(state.u), self.side_slip(state)
+        directions = directions or [friction_direction(w[None])[0] for w in slips]
+        return [
+            sides.contact(u, self.plane(body, state.load), self.slip_length, (w, s))
+            for body, (sides, u, w, s) in enumerate(
+                zip(self.sides, fields, slips, directions, strict=True)
+            )
+        ]
+
+    def side_slip(self, state: State) -> list[Array]:
+        """Present w of the friction law of the side nodes of both bodies, (2, n)."""
+        places = self.at_sides(state.u)
+        return [own.slip(u, self.slip_length) for own, u in zip(state.sides, places, strict=True)]
+
+    def total_forces(self, state: State) -> tuple[float, float, float]:
+        """Forces on window, interface and plate, those of the sides included, mN."""
+        window, interface, plate = (float(force.sum()) for force in state.forces)
+        layer, sample = (float(c.normal_force.sum()) for c in self.side_contacts(state))
+        return window + layer, interface, plate + sample
+
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Displacement (n_nodes, 3), element pressures of both bodies, contacts; at one load."""
+    """Displacement (n_nodes, 3), element pressures of both bodies, contacts; at one load.
+
+    ``sides`` is the friction of the sides of both bodies.
+    """
 
     load: float
     u: Array
     p: tuple[Array, Array]
     contacts: tuple[ContactState, ...]
+    sides: tuple[SideState, SideState]
 
     @property
     def forces(self) -> tuple[Array, ...]:
@@ -103,7 +143,7 @@ class State:
             replace(contact, force=force)
             for contact, force in zip(self.contacts, forces, strict=True)
         )
-        return State(self.load, u, (p[0], p[1]), contacts)
+        return replace(self, u=u, p=(p[0], p[1]), contacts=contacts)
 
     def stepped(
         self, fraction: float, du: Array, dp: Sequence[Array], dn: Sequence[Array]
@@ -131,7 +171,14 @@ def at_rest(stack: Stack) -> State:
             ContactState.resting(projection, position, np.zeros(projection.penetration.size))
             for projection in stack.project(position, 0.0)
         ),
+        sides=side_states(stack.at_sides(u)),
     )
+
+
+def side_states(places: Sequence[Array]) -> tuple[SideState, SideState]:
+    """Return sides without friction, where they are (2, n)."""
+    layer, sample = (SideState(np.zeros_like(place), place) for place in places)
+    return layer, sample
 
 
 def column_forces(stack: Stack) -> tuple[Array, ...]:

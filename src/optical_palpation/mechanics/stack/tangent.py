@@ -16,9 +16,10 @@ from ..body import Body
 from ..direct import sparse_matrix
 from ..elements import GRADIENTS, internal_force
 from ..factors import Factors
+from ..side_contact import SideContact
 from .contact import ContactTerms
 from .newton import balance
-from .problem import INTERFACE, PLATE, Stack, State
+from .problem import INTERFACE, LAYER, PLATE, SAMPLE, Stack, State
 
 Array = NDArray[np.float64]
 
@@ -44,7 +45,10 @@ class Tangent:
             _stiffness(body, u, p)
             for body, u, p in zip(stack.bodies, stack.split(state.u), state.p, strict=True)
         ]
-        matrix = sp.csr_matrix(sp.block_diag(blocks)) + _sides(stack, position)
+        self._sides = _sides(stack, now.sides)
+        matrix = sp.csr_matrix(sp.block_diag(blocks))
+        for sides in self._sides:
+            matrix = matrix + sides
         #: Force of each contact's slaves by displacement, (slaves, 3 n_nodes), mN / mm.
         self.contact_forces: list[sp.csr_matrix] = []
         #: Force of each contact by penetration, (slaves), mN / mm, and what it puts on the nodes.
@@ -60,7 +64,7 @@ class Tangent:
             matrix = matrix + rows.T @ forces
             matrix = matrix + _friction(term, stack.n_nodes)
         matrix = matrix + _interface(stack, now.terms[INTERFACE], position)
-        hold = _HOLD * stack.shear_modulus * stack.bodies[0].grid.spacing[2]
+        hold = _HOLD * stack.shear_modulus * stack.bodies[LAYER].grid.spacing[2]
         matrix = matrix + hold * sp.eye_array(matrix.shape[0])
         lateral = [body.nodes[:2].reshape(2, -1).T for body in stack.bodies]
         self.matrix = sp.csr_matrix(matrix)
@@ -68,7 +72,10 @@ class Tangent:
 
     def by_travel(self) -> Array:
         """Derivative of the nodal forces out of balance by the travel of the plate, (3 n_nodes)."""
-        return self.rows[PLATE].T @ self.springs[PLATE]
+        up = np.zeros((self.stack.n_nodes, 3))
+        up[self.stack.bodies[LAYER].n_nodes :, 2] = 1.0
+        of_sides = self._sides[SAMPLE] @ up.ravel()
+        return np.asarray(self.rows[PLATE].T @ self.springs[PLATE] + of_sides)
 
     def displacement(self, force: Array) -> Array:
         """Displacements (3 n_nodes, m), mm, that balance nodal forces (3 n_nodes, m), mN."""
@@ -86,10 +93,24 @@ def _stiffness(body: Body, u: Array, p: Array) -> sp.csr_matrix:
     return sp.csr_matrix(matrix[by_node][:, by_node])
 
 
-def _sides(stack: Stack, position: Array) -> sp.csr_matrix:
-    diagonal = np.zeros((stack.n_nodes, 3))
-    diagonal[stack.sides.nodes, 2] = stack.sides.force(position)[1]
-    return sp.csr_matrix(sp.diags_array(diagonal.ravel()))
+def _sides(stack: Stack, sides: list[SideContact]) -> list[sp.csr_matrix]:
+    """What presses the sides of each body, by displacements."""
+    first, size, out = 0, 3 * stack.n_nodes, []
+    for body, side in zip(stack.bodies, sides, strict=True):
+        numbers = first + np.arange(body.n_nodes).reshape(body.grid.node_shape)
+        corners, nodes = numbers[*side.facets], numbers[*side.nodes]
+        parts = [
+            (values, 3 * corners[:, None] + c, 3 * corners[None] + d)
+            for (c, d), values in zip(
+                np.ndindex(3, 3), side.blocks.reshape(9, 4, 4, -1), strict=True
+            )
+        ]
+        parts += [(side.hold[c, d], 3 * nodes + c, 3 * nodes + d) for c, d in np.ndindex(2, 2)]
+        entries = [[e.ravel() for e in np.broadcast_arrays(*part)] for part in parts]
+        values, rows, columns = (np.concatenate(each) for each in zip(*entries, strict=True))
+        out.append(sp.csr_matrix((values, (rows, columns)), shape=(size, size)))
+        first += body.n_nodes
+    return out
 
 
 def _matrix(values: Array, term: ContactTerms, n_nodes: int) -> sp.csr_matrix:
