@@ -76,6 +76,13 @@ def test_extremes_errors_gaps_and_contrast():
     assert float(found["maximum"]) == np.nanmax(values)
     assert float(found["missing"]) == pytest.approx(1 / values.size)
     assert float(found["mean_error"]) == pytest.approx(0.3)
+    covered = float(found["area"]) * (1 - float(found["missing"]))
+    assert float(found["force_error"]) == pytest.approx(0.3 * covered)
+    maps["axial_stress_error"][31:, :] = np.nan
+    partly = region_statistics(maps, [region]).sel(region="bump")
+    assert float(partly["mean_error"]) == pytest.approx(0.3)
+    maps["axial_stress_error"] = maps["axial_stress_error"].where(~inside)
+    assert np.isnan(region_statistics(maps, [region])["force_error"]).all()
     assert float(found["contrast"]) == pytest.approx(4.0 / 0.1, rel=0.1)
     assert found.attrs["background_mean"] == pytest.approx(-1.0, abs=0.02)
     dark = Region.rectangle("dark", 1.2, 1.8, -0.3, 0.5)
@@ -324,3 +331,13 @@ def test_results_that_cannot_be_compared():
         compare_results({"a": first, "b": xr.Dataset()})
     with pytest.raises(InputError, match="to register by"):
         compare_results({"a": first, "b": first}, register=True)
+
+
+def test_the_error_of_a_modulus_is_a_share_of_it():
+    maps = maps_of(lambda x, y: 4.0 + 0 * x * y)
+    maps["sample_youngs_modulus"] = maps["axial_stress"].assign_attrs(units="kPa")
+    maps["sample_modulus_error"] = 0.1 + 0 * maps["axial_stress"]
+    region = Region.rectangle("all", 1.0, 2.0, 0.5, 1.5)
+    found = region_statistics(maps, [region], "sample_youngs_modulus", None)
+    assert float(found["mean_error"][0]) == pytest.approx(0.4)
+    assert "force_error" not in found

@@ -214,10 +214,14 @@ def test_from_volumes_to_a_table_and_back_to_the_command(viewer, panel, study, t
     wait(lambda: panel.regions.table.rowCount() == 1)
     (region,) = panel.regions.regions()
     expected = region_statistics(result.maps, [region])
-    header = [panel.regions.table.horizontalHeaderItem(i).text() for i in range(6)]
-    assert header[:4] == ["mean\n(kPa)", "lowest\n(kPa)", "highest\n(kPa)", "force\n(mN)"]
-    assert panel.regions.table.item(0, 0).text() == f"{float(expected['mean'][0]):.4g}"
-    assert panel.regions.table.item(0, 3).text() == f"{float(expected['force'][0]):.4g}"
+    table = panel.regions.table
+    header = [table.horizontalHeaderItem(i).text() for i in range(6)]
+    kpa = ["mean\n(kPa)", "mean ±\n(kPa)", "lowest\n(kPa)", "highest\n(kPa)"]
+    assert header == [*kpa, "force\n(mN)", "force ±\n(mN)"]
+    for column, name in enumerate(["mean", "mean_error", "minimum", "maximum"]):
+        assert table.item(0, column).text() == f"{float(expected[name][0]):.4g}"
+    for column, name in enumerate(["force", "force_error"], 4):
+        assert table.item(0, column).text() == f"{float(expected[name][0]):.4g}"
     assert float(expected["area"][0]) == pytest.approx(0.3, rel=0.1)
     panel.regions.save_table(tmp_path / "table.csv")
     assert "mean_kPa" in (tmp_path / "table.csv").read_text()

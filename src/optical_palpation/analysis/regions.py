@@ -230,9 +230,10 @@ def region_statistics(
         pressure also ``force`` (mN, compression positive). With a background that has a value,
         ``difference`` (mean less that of the background), and ``contrast``, its size over the
         background's noise, the standard deviation about a plane. Where the maps hold
-        ``<variable>_error``, ``mean_error``, the mean of that error: that of an error which is the
-        same all over the region, and an upper bound of any other. The attributes hold the mean and
-        noise of the background.
+        ``<variable>_error`` (of both moduli ``sample_modulus_error``), ``mean_error``, the mean of
+        that error, and ``force_error`` (mN), its sum: those of an error which is the same all over
+        the region, and upper bounds of any other. They are NaN where no pixel has an error. The
+        attributes hold the mean and noise of the background.
 
     Raises
     ------
@@ -253,9 +254,7 @@ def region_statistics(
     field = check_map(maps[variable], variable)
     dy, dx = pixel_size(field)
     weights = {region.name: region.weights(field).values for region in regions}
-    error = None
-    if f"{variable}_error" in maps:
-        error = check_map(maps[f"{variable}_error"], f"{variable}_error").values
+    error = _error(maps, variable)
     rows = []
     for name, weight in weights.items():
         rows.append(_statistics(name, field.values, weight, dy * dx, error, _FORCES.get(variable)))
@@ -291,8 +290,9 @@ _COLUMNS = {
     "standard_deviation": ("", "standard deviation"),
     "minimum": ("", "lowest value"),
     "maximum": ("", "highest value"),
-    "mean_error": ("", "mean of the error"),
+    "mean_error": ("", "error of the mean, at most"),
     "force": ("mN", "force, compression positive"),
+    "force_error": ("mN", "error of the force, at most"),
     "area": ("mm2", "area"),
     "missing": ("1", "share without a value"),
 }
@@ -324,8 +324,25 @@ def _statistics(
     if sign is not None:
         row["force"] = sign * float(w @ v) * pixel
     if error is not None:
-        row["mean_error"] = float(np.average(np.nan_to_num(error[seen]), weights=w))
+        known = np.isfinite(error[seen])
+        there = known.any()
+        row["mean_error"] = (
+            float(np.average(error[seen][known], weights=w[known])) if there else np.nan
+        )
+        if sign is not None:
+            row["force_error"] = row["mean_error"] * float(w.sum()) * pixel
     return row
+
+
+def _error(maps: xr.Dataset, variable: str) -> NDArray[np.float64] | None:
+    """The error of a map in its unit, None where there is none."""
+    own, shared = f"{variable}_error", "sample_modulus_error"
+    if own in maps:
+        return check_map(maps[own], own).values
+    if variable in ("sample_shear_modulus", "sample_youngs_modulus") and shared in maps:
+        share = check_map(maps[shared], shared).values
+        return np.asarray(share * maps[variable].transpose("y", "x").values)
+    return None
 
 
 def _background(

@@ -39,15 +39,15 @@ def table_in_words(table: xr.Dataset) -> str:
     for name in table["region"].values:
         row = table.sel(region=name)
         spread = float(row["standard_deviation"])
-        parts = [f"mean {float(row['mean']):.4g} {units} (standard deviation {spread:.2g})"]
+        off = f" ± {float(row['mean_error']):.2g}" if "mean_error" in row else ""
+        parts = [f"mean {float(row['mean']):.4g}{off} {units} (standard deviation {spread:.2g})"]
         parts.append(f"{float(row['minimum']):.4g} to {float(row['maximum']):.4g} {units}")
         if "force" in row:
-            parts.append(f"force {float(row['force']):.4g} mN")
+            off = f" ± {float(row['force_error']):.2g}" if "force_error" in row else ""
+            parts.append(f"force {float(row['force']):.4g}{off} mN")
         parts.append(f"area {float(row['area']):.4g} mm2")
         if "contrast" in row:
             parts.append(f"contrast {float(row['contrast']):.3g}")
-        if "mean_error" in row:
-            parts.append(f"error {float(row['mean_error']):.2g} {units}")
         lines.append(f"  {name}: {', '.join(parts)}")
     return "\n".join(lines)
 

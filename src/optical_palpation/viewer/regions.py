@@ -26,9 +26,11 @@ from optical_palpation.viewer.workbench import Workbench
 
 _COLUMNS = {
     "mean": "mean",
+    "mean_error": "mean ±",
     "minimum": "lowest",
     "maximum": "highest",
     "force": "force",
+    "force_error": "force ±",
     "contrast": "contrast",
     "area": "area",
 }
