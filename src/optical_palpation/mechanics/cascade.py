@@ -183,7 +183,7 @@ def solve(
     def settled(level: LayerProblem, state: LayerState) -> LayerState | None:
         """Let a loaded layer come to rest; None where it does not."""
         report = partial(on_iteration, level) if on_iteration else None
-        linear = make_solver(level, solver)
+        linear = (exact(level) or partial(make_solver, level, solver))()
         try:
             state, steps = settle(
                 level, linear, wanted(level), intermediate, state, control, report

@@ -38,6 +38,8 @@ _CREEP = 1e-5
 #: Drag, as a share of the contact forces, below which the layer is as good as at rest: fully
 #: loaded, and on the way there.
 _REST = (0.03, 0.01)
+#: Share of the contact forces out of balance below which Newton's method is tried without drag.
+_NEAR = 0.1
 #: Steps in which a fully loaded layer must come to rest.
 _HELD = 120
 
@@ -271,7 +273,7 @@ def _settle(
         held += 1
         if held > _HELD:
             raise path.stopped(_restless(path, problem))
-        if share < _REST[0] and rest.force_error < near:
+        if share < _REST[0] and rest.force_error < min(near, _NEAR):
             wanted, near = tolerances, 0.1 * rest.force_error
             try:
                 now, count = equilibrate(
