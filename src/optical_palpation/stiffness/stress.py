@@ -39,8 +39,9 @@ from optical_palpation.thickness.initial import match_initial_thickness
 
 Array = NDArray[np.float64]
 
-#: Elements of the mesh on which sensitivities are computed, at most.
-_COARSE_ELEMENTS = 5000
+#: Elements of the mesh on which sensitivities are computed, at most, and by how much larger they
+#: are than the finest ones, at least.
+_COARSE_ELEMENTS, _COARSER = 5000, 2.0
 #: Misfit, as a multiple of noise and mesh error, above which the model does not fit.
 _NO_FIT = 5.0
 #: The same as a share of the indentation, where the mesh is too coarse to tell.
@@ -200,10 +201,10 @@ def _columns(blocks: Blocks, size: float) -> Columns:
 
 def _models(blocks: Blocks, mesh: Mesh, columns: Columns, thickness: float) -> tuple[Model, Model]:
     """The model on the finest mesh and on a coarse one, for sensitivities."""
-    fine, factor = Model(blocks, mesh, columns), 2.0
+    fine, factor = Model(blocks, mesh, columns), _COARSER
     coarse = Model(blocks, mesh.coarser(factor, thickness), columns)
     while coarse.levels[-1].n_elements > _COARSE_ELEMENTS:
-        factor *= 2
+        factor *= 1.1
         coarse = Model(blocks, mesh.coarser(factor, thickness), columns)
     return fine, coarse
 
