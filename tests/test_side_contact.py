@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.mechanics.cascade import solve
+from optical_palpation.mechanics.cascade import make_solver, prolong, solve
 from optical_palpation.mechanics.contact import slip_coordinate
 from optical_palpation.mechanics.friction import (
     MEMORY,
@@ -19,7 +19,9 @@ from optical_palpation.mechanics.friction import (
 )
 from optical_palpation.mechanics.grid import LayerGrid, face_and_sides, node_positions
 from optical_palpation.mechanics.imprint import Imprint
-from optical_palpation.mechanics.path import StepControl
+from optical_palpation.mechanics.iteration import TOLERANCES, relaxed
+from optical_palpation.mechanics.newton import balance
+from optical_palpation.mechanics.path import StepControl, settle
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.side_contact import side_contact
 from optical_palpation.palpation.meshing import expected_forces
@@ -154,15 +156,19 @@ def test_fields_of_the_sides_are_interpolated():
     assert_allclose(fine.interpolate_sides_from(fine, field(fine)), field(fine), atol=1e-12)
 
 
-@pytest.mark.parametrize("longest", [0.3, 0.05])
-def test_the_history_of_friction_survives_a_finer_grid(longest):
-    """The load followed on a coarse grid ends with the force of one followed on the fine grid."""
+def waves_under_a_flat_layer() -> LayerProblem:
     x = node_positions(3.0, 0.1, edge=0.04)
     px = np.linspace(-1, 4, 201)
     flat = np.full((201, 201), 0.5)
     waves = 0.42 + 0.05 * np.cos(3 * px) * np.cos(2.5 * px)[:, None]
     grid = LayerGrid(x, x, np.linspace(0, 1, 5), np.full((x.size, x.size), 0.5))
-    problem = LayerProblem(grid, Imprint(px, px, flat, waves), LAW, (0.3, 0.1))
+    return LayerProblem(grid, Imprint(px, px, flat, waves), LAW, (0.3, 0.1))
+
+
+@pytest.mark.parametrize("longest", [0.3, 0.05])
+def test_the_history_of_friction_survives_a_finer_grid(longest):
+    """The load followed on a coarse grid ends with the force of one followed on the fine grid."""
+    problem = waves_under_a_flat_layer()
     control = StepControl(first=min(0.1, longest), largest=longest)
     forces = []
     for cascade in (False, True):
@@ -172,3 +178,27 @@ def test_the_history_of_friction_survives_a_finer_grid(longest):
         forces.append(found.state.normal_force[1].sum())
         assert (found.coarser is not None) is cascade
     assert_allclose(forces[1], forces[0], rtol=6e-3)
+
+
+def test_the_history_of_friction_survives_drag():
+    """Carried to a finer grid, a layer comes to the same rest by drag as by Newton's method."""
+    problem = waves_under_a_flat_layer()
+    found = solve(problem, lambda level: expected_forces(level, LAW))
+    assert found.coarser is not None
+    coarse, state = found.coarser
+    carried = prolong(state, coarse, problem)
+    # as far from equilibrium as where Newton's method does not get there by itself
+    k, j, i = np.indices(problem.grid.node_shape)
+    carried.u[:, 1:-1] += 0.003 * np.sin(1.3 * k + 0.7 * j + 0.4 * i)[1:-1]
+    settled, steps = settle(
+        problem,
+        make_solver(problem, "multigrid"),
+        TOLERANCES,
+        relaxed(TOLERANCES, 100.0),
+        carried,
+    )
+    assert steps
+    assert balance(problem, settled).force_error < TOLERANCES.force
+    assert_allclose(
+        settled.normal_force.sum((1, 2)), found.state.normal_force.sum((1, 2)), rtol=3e-3
+    )

@@ -173,7 +173,12 @@ def _recover(
     known = f"friction {friction:g} at the sample, as the scene's, its motion known"
     blind = f"friction {friction:g} at the sample, its motion unknown"
     cases: tuple[tuple[str, str, dict[str, Any]], ...] = (
-        (known, "discretisation of both", {"sample_motion": true.maps}),
+        (
+            known,
+            "discretisation of both; where the layer hardly slides, "
+            "motion that is off by a slip length, 1 um, turns friction round",
+            {"sample_motion": true.maps},
+        ),
         (f"{known}, pixel noise of 1 um", "", {"sample_motion": true.maps, "noise": 1e-3}),
         (
             f"friction {friction:g} at the sample, taken to spread evenly and to keep its volume",
