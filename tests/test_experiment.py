@@ -443,6 +443,7 @@ def test_files_of_a_result(rough, tmp_path):
     assert (tmp_path / "picture.png").stat().st_size > 10_000
 
 
+@pytest.mark.filterwarnings("error:constrained_layout")  # a picture without a layout
 def test_command(tmp_path, capsys):
     from optical_palpation.cli import main
 

@@ -79,29 +79,32 @@ def write_experiment_figure(
 
 
 def _draw(figure: Figure, result: ExperimentResult, recovered: StressResult | None) -> None:
-    axes = figure.subplot_mosaic([list("SSSTTAA"), list("XXXXYYY")])
-    _draw_section(figure, axes["S"], result)
+    above, below = figure.subfigures(2, 1)
+    nodes = [body["position"].values.reshape(-1, 3) for body in (result.layer, result.sample)]
+    width, _, height = np.ptp(np.concatenate(nodes), axis=0)
+    wide = float(np.clip(width / height, 1.0, 1.6))
+    section, thickness, stress = above.subplots(1, 3, width_ratios=[wide, 1.0, 1.0])
+    profiles = below.subplots(1, 2, sharey=True)
+    _draw_section(figure, section, result)
     maps = result.maps
     truth = Term("True axial stress", "kPa", STRESS, "stress")
-    draw_map(axes["T"], maps["loaded_thickness"], term(maps, "loaded_thickness"))
-    draw_map(axes["A"], maps["axial_stress"], truth)
+    draw_map(thickness, maps["loaded_thickness"], term(maps, "loaded_thickness"))
+    draw_map(stress, maps["axial_stress"], truth)
     source = result.maps if recovered is None else recovered.maps
     along: dict[str, Any] = {"true": (maps, "axial_stress")}
     along["algebraic"] = (source, "algebraic_axial_stress")
     if recovered is not None:
         along["computational"] = (source, "axial_stress")
-    for n, axis in enumerate("xy"):
-        panel = axes[axis.upper()]
+    for n, (axis, panel) in enumerate(zip("xy", profiles, strict=True)):
         for label, (dataset, name) in along.items():
             profile = centre_profiles(dataset)[n]
             panel.plot(profile[axis], profile[name], color=_COLOURS[label], label=label)
         panel.set_title(f"Through the centre along {axis}", loc="left")
         panel.set_xlabel(f"{axis} (mm)")
         panel.grid()
-    axes["Y"].sharey(axes["X"])
-    axes["X"].set_ylabel("axial stress (kPa)")
-    axes["X"].legend(ncols=3)
-    letter([axes[place] for place in "STAXY"])
+    profiles[0].set_ylabel("axial stress (kPa)")
+    profiles[0].legend(ncols=3)
+    letter([section, thickness, stress, *profiles])
 
 
 def _draw_section(figure: Figure, axes: Axes, result: ExperimentResult) -> None:
@@ -130,7 +133,8 @@ def _draw_section(figure: Figure, axes: Axes, result: ExperimentResult) -> None:
     ]
     axes.plot(section[1][0, :, 0], section[1][0, :, 2], color="black", lw=0.8)
     axes.invert_yaxis()
-    axes.set_title("Loaded layer and sample, axial stress (kPa)", loc="left")
+    axes.set_title("Section, axial stress (kPa)", loc="left")
     axes.set(xlabel="x (mm)", ylabel="z (mm)")
     axes.set_aspect("equal")
-    figure.colorbar(meshes[0], ax=axes, fraction=0.05)
+    # beside the drawing as it is to scale, not beside all the room there is for it
+    figure.colorbar(meshes[0], cax=axes.inset_axes((1.03, 0.0, 0.04, 1.0)))

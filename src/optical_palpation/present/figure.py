@@ -43,6 +43,7 @@ _STYLE: Any = {
     "legend.fontsize": 6.5,
     "figure.titlesize": 8.5,
     "axes.linewidth": 0.6,
+    "axes.formatter.useoffset": False,
     "xtick.major.width": 0.6,
     "ytick.major.width": 0.6,
     "xtick.major.size": 2.5,
