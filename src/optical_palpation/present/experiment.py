@@ -79,7 +79,8 @@ def write_experiment_figure(
 
 
 def _draw(figure: Figure, result: ExperimentResult, recovered: StressResult | None) -> None:
-    above, below = figure.subfigures(2, 1)
+    rows: Any = figure.subfigures(2, 1)
+    above, below = rows
     nodes = [body["position"].values.reshape(-1, 3) for body in (result.layer, result.sample)]
     width, _, height = np.ptp(np.concatenate(nodes), axis=0)
     wide = float(np.clip(width / height, 1.0, 1.6))
