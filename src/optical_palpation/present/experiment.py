@@ -104,7 +104,9 @@ def _draw(figure: Figure, result: ExperimentResult, recovered: StressResult | No
         panel.set_xlabel(f"{axis} (mm)")
         panel.grid()
     profiles[0].set_ylabel("axial stress (kPa)")
-    profiles[0].legend(ncols=3)
+    below.legend(
+        *profiles[0].get_legend_handles_labels(), ncols=3, loc="outside upper right", fontsize=7
+    )
     letter([section, thickness, stress, *profiles])
 
 
