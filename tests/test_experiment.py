@@ -166,6 +166,14 @@ def test_stiff_sample_acts_as_the_rigid_imprint():
 
 
 @pytest.mark.slow
+def test_a_stiff_cube_is_pressed_to_the_end():
+    """Under its edges linear systems are hard, and steps that do not solve them lead nowhere."""
+    attrs = run_experiment(read_scene("cube_on_plate"), threads=1).maps.attrs
+    assert attrs["newton_iterations"] < 40
+    assert attrs["force_balance"] < 1e-4
+
+
+@pytest.mark.slow
 def test_smaller_sample_leaves_the_rest_of_the_layer_alone():
     result = run_experiment(
         scene(
