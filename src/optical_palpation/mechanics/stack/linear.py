@@ -47,8 +47,8 @@ Vector = NDArray[np.float32]
 
 #: Penalty of the displacement blocks in units of the shear modulus.
 _GAMMA = 3.0
-#: Krylov iterations at which a linear solve ends whatever it has reached. Under the edges of a stiff
-#: cube 60 to 100 are needed; with 25 Newton's method hardly moved there.
+#: Krylov iterations at which a linear solve ends whatever it has reached. Under the edges of a
+#: stiff cube 60 to 100 are needed; with 25 Newton's method hardly moved there.
 _LONGEST = 100
 
 
