@@ -183,6 +183,7 @@ def solve(
     def settled(level: LayerProblem, state: LayerState) -> LayerState | None:
         """Let a loaded layer come to rest; None where it does not."""
         report = partial(on_iteration, level) if on_iteration else None
+        # drag is for where the iterative solver is of little use as well
         linear = (exact(level) or partial(make_solver, level, solver))()
         try:
             state, steps = settle(

@@ -218,7 +218,7 @@ class PlaneSides:
     ) -> SideContact:
         """Contact with the plane z = ``height`` at a displacement, as ``side_contact``.
 
-        ``u`` (3, nz + 1, ny + 1, nx + 1), mm; ``friction``: w and s of the side nodes, (2, n).
+        ``u`` (3, nz + 1, ny + 1, nx + 1), mm; ``friction``: w and s of the side nodes, (1, 2, n).
         """
         grid, facets, sign = self.body.grid, self.facets, self.sign
         outermost = outermost_height(grid)[0 if sign < 0 else 1]
@@ -242,8 +242,7 @@ class PlaneSides:
             np.zeros((2, 2, *z.shape)),
         )
         rubs = np.array([self.friction])
-        w, direction = friction
-        return _contact(grid, facets, touch, rubs, slip_length, (w[None], direction[None]))
+        return _contact(grid, facets, touch, rubs, slip_length, friction)
 
 
 @dataclass(frozen=True, eq=False)

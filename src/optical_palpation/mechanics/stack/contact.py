@@ -128,19 +128,19 @@ class ContactTerms:
 
 @dataclass(frozen=True, eq=False)
 class SideState:
-    """Friction memory w of the side nodes of a body, (2, n), and where they were, (2, n), mm."""
+    """Friction memory w of the side nodes of a body, and where they were, mm, both (1, 2, n)."""
 
     memory: Array
     anchor: Array
 
     def slip(self, u: Array, slip_length: float) -> Array:
-        """Present w of the friction law (2, n), of their lateral displacement u (2, n)."""
+        """Present w of the friction law, of their lateral displacement u, both (1, 2, n)."""
         return self.memory + (u - self.anchor) / slip_length
 
     def remembered(self, u: Array, slip_length: float, touching: NDArray[np.bool_]) -> SideState:
         """Return the state from which the next load starts."""
-        w = law.remembered(self.slip(u, slip_length)[None])[0]
-        return SideState(np.where(touching, w, 0.0), u)
+        w = law.remembered(self.slip(u, slip_length))
+        return SideState(np.where(touching[:, None], w, 0.0), u)
 
 
 def linearise(

@@ -33,7 +33,7 @@ class Balance:
     """Internal forces and contact of a state, and how far it is from equilibrium.
 
     ``directions`` are those of friction, unknowns of their own (see ``linearise``): of the
-    contacts, (n, 2), and of the ``sides`` of both bodies, (2, n).
+    contacts, (n, 2), and of the ``sides`` of both bodies, (1, 2, n).
     ``residual`` (n_nodes, 3) are the nodal forces out of balance, mN, ``imbalance`` the 2-norm of
     these and of the violations of the laws of contact, mN; ``force_error`` its share of the contact
     forces.
@@ -68,7 +68,7 @@ def balance(
             friction_direction(friction_memory(contact, position, stack.slip_length))
             for contact in state.contacts
         ]
-        directions += [friction_direction(w[None])[0] for w in stack.side_slip(state)]
+        directions += [friction_direction(w) for w in stack.side_slip(state)]
     sides = stack.side_contacts(state, directions[len(state.contacts) :])
     terms = [
         linearise(
@@ -199,7 +199,7 @@ def equilibrate(
         ]
         slips, steps = stack.side_slip(now.state), stack.at_sides(du / stack.slip_length)
         turns += [
-            direction_step(w[None], old[None], step[None])[0]
+            direction_step(w, old, step)
             for w, old, step in zip(slips, now.directions[len(turns) :], steps, strict=True)
         ]
 
@@ -207,17 +207,14 @@ def equilibrate(
             turned = [
                 old + fraction * turn for old, turn in zip(now.directions, turns, strict=True)
             ]
-            turned = [
-                d / np.maximum(1.0, np.linalg.norm(d, axis=axis, keepdims=True))
-                for d, axis in zip(turned, (1, 1, 1, 0, 0), strict=True)
-            ]
+            turned = [d / np.maximum(1.0, np.linalg.norm(d, axis=1, keepdims=True)) for d in turned]
             return balance(stack, now.state.stepped(fraction, du, dp, dn), directions=turned)
 
         return Direction(follow, krylov)
 
     least = _DAMPING * stack.shear_modulus / stack.plate**2
     directions = [friction_direction(contact.memory) for contact in state.contacts]
-    directions += [friction_direction(side.memory[None])[0] for side in state.sides]
+    directions += [friction_direction(side.memory) for side in state.sides]
     start = balance(stack, state, directions=directions)
     now, count = iterate(start, direction, tolerances, least, report)
     return now.state, count

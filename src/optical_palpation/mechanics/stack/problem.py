@@ -90,16 +90,16 @@ class Stack:
         return 0.0 if body == LAYER else self.plate - load * self.compression
 
     def at_sides(self, u: Array) -> list[Array]:
-        """Lateral part (2, n) of ``u`` (n_nodes, 3) on the ``LayerGrid.side_nodes`` of both."""
+        """Lateral part (1, 2, n) of ``u`` (n_nodes, 3) on the ``LayerGrid.side_nodes`` of both."""
         fields = zip(self.split(u), self.bodies, strict=True)
-        return [field[:2, *body.grid.side_nodes] for field, body in fields]
+        return [field[None, :2, *body.grid.side_nodes] for field, body in fields]
 
     def side_contacts(
         self, state: State, directions: Sequence[Array] | None = None
     ) -> list[SideContact]:
-        """Contact of the sides of both bodies; ``directions`` (2, n) those of friction."""
+        """Contact of the sides of both bodies; ``directions`` (1, 2, n) those of friction."""
         fields, slips = self.split(state.u), self.side_slip(state)
-        directions = directions or [friction_direction(w[None])[0] for w in slips]
+        directions = directions or [friction_direction(w) for w in slips]
         return [
             sides.contact(u, self.plane(body, state.load), self.slip_length, (w, s))
             for body, (sides, u, w, s) in enumerate(
@@ -108,7 +108,7 @@ class Stack:
         ]
 
     def side_slip(self, state: State) -> list[Array]:
-        """Present w of the friction law of the side nodes of both bodies, (2, n)."""
+        """Present w of the friction law of the side nodes of both bodies, (1, 2, n)."""
         places = self.at_sides(state.u)
         return [own.slip(u, self.slip_length) for own, u in zip(state.sides, places, strict=True)]
 
@@ -176,7 +176,7 @@ def at_rest(stack: Stack) -> State:
 
 
 def side_states(places: Sequence[Array]) -> tuple[SideState, SideState]:
-    """Return sides without friction, where they are (2, n)."""
+    """Return sides without friction, where they are (1, 2, n)."""
     layer, sample = (SideState(np.zeros_like(place), place) for place in places)
     return layer, sample
 
