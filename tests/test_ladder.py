@@ -12,7 +12,7 @@ from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.body import Body
 from optical_palpation.mechanics.cascade import solve
 from optical_palpation.mechanics.direct import DirectSolver, sparse_matrix
-from optical_palpation.mechanics.faces import area_vectors
+from optical_palpation.mechanics.faces import area_vectors, push_slope
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.iteration import Tolerances
@@ -55,8 +55,25 @@ def test_area_vectors_are_the_gradient_of_the_volume_beneath():
     assert_allclose(area_vectors(surface)[inner], expected[inner], atol=1e-9)
 
 
-@pytest.mark.parametrize("spreading", [0.0, 0.02])
-def test_newton_matrix_is_the_derivative_of_the_equations_with_contact_and_friction(spreading):
+def test_faces_folded_in_a_plane_are_pushed_along_its_normal():
+    """However the nodes lie in it, and whatever area that leaves them."""
+    rng = np.random.default_rng(3)
+    x, y = np.meshgrid(np.arange(6.0), np.arange(5.0))
+    unloaded = LayerGrid(x[0], y[:, 0], graded_depths(2), np.ones(x.shape)).areas
+    x, y = (at + 1.5 * rng.standard_normal(at.shape) for at in (x, y))
+    slope = np.array([0.4, -0.7])
+    met = np.broadcast_to(slope[:, None, None], (2, *x.shape))
+    push, area, missing = push_slope(np.stack([x, y, slope[0] * x + slope[1] * y]), unloaded, met)
+    assert (missing > 1).any()  # turned over
+    assert (missing == 0).any()
+    assert (area >= 0.1 * unloaded).all()
+    assert_allclose(push, met, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("spreading", "folded"), [(0.0, 0.0), (0.02, 0.0), (0.0, 0.19)])
+def test_newton_matrix_is_the_derivative_of_the_equations_with_contact_and_friction(
+    spreading, folded
+):
     rng = np.random.default_rng(1)
     x, px = np.linspace(0, 1, 6), np.linspace(-0.2, 1.2, 20)
     xx, yy = np.meshgrid(px, px)
@@ -71,6 +88,7 @@ def test_newton_matrix_is_the_derivative_of_the_equations_with_contact_and_frict
     state.load, state.anchor_load = 1.0, 0.7
     state.u = 0.01 * rng.standard_normal(state.u.shape)
     state.u[2] = 0.3 * state.u[2] - 0.17 * problem.grid.nodes[2]
+    state.u[1, -1, 0] += folded  # almost to the next row, 0.2 mm away
     state.p = -5 + rng.standard_normal(state.p.shape)
 
     def equations(u):

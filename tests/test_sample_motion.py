@@ -26,14 +26,11 @@ from optical_palpation.mechanics.iteration import Tolerances
 from optical_palpation.mechanics.newton import balance, equilibrate
 from optical_palpation.mechanics.path import StepControl
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
-from optical_palpation.mechanics.stack import newton as stack_newton
-from optical_palpation.mechanics.stack.path import follow
+from optical_palpation.mechanics.stack.cascade import solve as compress
 from optical_palpation.mechanics.stack.problem import (
     INTERFACE,
     LAYER,
     SAMPLE,
-    at_rest,
-    column_forces,
 )
 from optical_palpation.palpation import computational_stress, read_sample_motion, uniform_motion
 from optical_palpation.palpation.motion import match_sample_motion
@@ -174,8 +171,12 @@ def seen_surface(assembly, u, pixels):
     start = [
         np.interp(at, nodes, np.arange(nodes.size)) for at, nodes in ((x, sample.x), (y, sample.y))
     ]
+    shape = (pixels.size, pixels.size)
     points = replace(
-        interface, slaves=number.reshape(2 * (pixels.size,)), start=np.stack(start, axis=1)
+        interface,
+        slaves=number.reshape(shape),
+        start=np.stack(start, axis=1),
+        unloaded=np.zeros(shape),
     )
     level = np.stack([x, y, np.full(x.size, 0.3)], axis=1)
     met = points.project(np.concatenate([assembly.position(u), level]))
@@ -195,13 +196,7 @@ def test_the_layer_alone_on_the_moving_surface_is_the_layer_of_the_experiment():
         }
     )
     assembly = build(scene)
-    path = follow(
-        assembly,
-        at_rest(assembly),
-        column_forces(assembly),
-        stack_newton.make_solver(assembly),
-        control=StepControl(1.0),
-    )
+    path = compress([assembly], control=StepControl(1.0))
     assert len(path.record) == 1
     u, p = assembly.split(path.state.u)[LAYER], path.state.p[LAYER]
     grid, pixels = assembly.bodies[LAYER].grid, np.linspace(-0.2, 2.2, 241)
@@ -244,8 +239,7 @@ def test_the_layer_on_a_nearly_rigid_sample_is_the_layer_on_an_imprint():
         }
     )
     assembly = build(scene)
-    solver = stack_newton.make_solver(assembly)
-    state = follow(assembly, at_rest(assembly), column_forces(assembly), solver).state
+    state = compress([assembly]).state
     grid, pixels = assembly.bodies[LAYER].grid, np.linspace(-0.2, 2.2, 241)
     height, motion = seen_surface(assembly, state.u, pixels)
     assert abs(motion).max() < 2e-3

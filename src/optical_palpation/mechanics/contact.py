@@ -22,7 +22,9 @@ that friction is linearised exactly together with the pressure that bounds it.
 The slope a = -(A_x, A_y) / A_z along which the contact force acts is that of the deformed element
 faces, with A the area vector of the node (the gradient of the layer's volume), not that of the
 imprint: a uniform pressure is then in exact equilibrium on the mesh. With the imprint's own slope a
-pressure well above the shear modulus drives the nodes sideways.
+pressure well above the shear modulus drives the nodes sideways. Where the layer has rolled so far
+that the outermost faces are folded, the area of a node is next to nothing and has no direction;
+there the imprint's own slope makes up for it (``push_slope``).
 
 The free sides meet both surfaces too (``side_contact``).
 
@@ -40,7 +42,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.runtime.kernels import keep_kernels
 
-from .faces import SHAPE, SLOPE, area_vectors
+from .faces import SHAPE, SLOPE, push_slope
 from .friction import friction_direction, friction_stiffness, remembered
 from .grid import contact_nodes, face_and_sides
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
@@ -166,7 +168,7 @@ def linearise(
     nodes = problem.grid.nodes
     bottom = nodes[:, 0] + state.u[:, 0]
     top = nodes[:, -1] + state.u[:, -1]
-    h, hx, hy = problem.imprint.evaluate(top[0], top[1], state.load)[:3]
+    h, hx, hy, hxx, hxy, hyy = problem.imprint.evaluate(top[0], top[1], state.load)
     penetration = np.stack([-bottom[2], top[2] - h])
     normal = state.normal_force
     reaction = np.stack([force[2, 0], -force[2, -1]])
@@ -196,16 +198,18 @@ def linearise(
         traction = (friction * bound)[:, None] * s
         hold = friction * bound / problem.slip_length
     row = carries.copy()
-    area = area_vectors(top)
-    face_slope = -area[:2] / area[2]
-    row[SAMPLE] = face_slope - carries[SAMPLE]
+    push, area, missing = push_slope(top, problem.grid.areas, np.stack([hx, hy]))
+    row[SAMPLE] = push - carries[SAMPLE]
     column = np.zeros_like(row)
     column[SAMPLE] = hx, hy
 
     along, _ = face_and_sides(direction, c.shape)
     block = np.moveaxis(hold * friction_stiffness(w, along), 0, 1)
+    pressed = np.maximum(normal[SAMPLE], 0.0)
     turning = np.zeros((*h.shape, 9, 2, 3))
-    turning_stiffness(top, np.maximum(normal[SAMPLE], 0.0) / area[2], face_slope, turning)
+    turning_stiffness(top, pressed / area, np.where(missing > 0, np.stack([hx, hy]), push), turning)
+    curvature = np.moveaxis(np.array([[hxx, hxy], [hxy, hyy]]), (0, 1), (-2, -1))
+    turning[..., 4, :, :2] -= (pressed * missing)[..., None, None] * curvature
     for face, k in ((WINDOW, 0), (SAMPLE, -1)):
         if problem.glued[face]:
             off[face] = glued_displacement(problem, face, state.load) - state.u[:, k]
@@ -234,7 +238,11 @@ def linearise(
 
 @nb.njit(cache=True)
 def turning_stiffness(surface, pressure, slope, out):
-    """Lateral stiffness p (dA_x + a_x dA_z), p (dA_y + a_y dA_z) of each node."""
+    """Lateral stiffness p (dA_x + a_x dA_z), p (dA_y + a_y dA_z) of each node.
+
+    ``pressure`` p is the contact force by the area of ``push_slope``, ``slope`` a that of the faces
+    or, where they are folded, of what is met.
+    """
     _, ny1, nx1 = surface.shape
     t, s = np.empty((4, 3)), np.empty((4, 3))
     for j in range(ny1 - 1):

@@ -43,3 +43,36 @@ def area_vectors(surface: Array) -> Array:
             j, i = a >> 1, a & 1
             out[:, j : j + ny, i : i + nx] += SHAPE[q, a] * vector
     return out
+
+
+#: Horizontal area of a node, as a share of its unloaded one, below which its faces are folded.
+FOLDED = 0.2
+
+
+def push_slope(surface: Array, unloaded: Array, met: Array) -> tuple[Array, Array, Array]:
+    """The slope (a_x, a_y) along which what is met pushes the nodes of a bilinear surface.
+
+    That of the faces themselves, a = -(A_x, A_y) / A_z with A the area vector of a node. Where a
+    body has rolled so far that its outermost faces are folded, A is next to nothing and has no
+    direction: below D = ``FOLDED`` times the ``unloaded`` area, the slope of what is ``met`` makes
+    up for what is missing, a = (-(A_x, A_y) + (D - A_z) (h_x, h_y)) / D.
+
+    Parameters
+    ----------
+    surface
+        Positions, (3, ny + 1, nx + 1), mm.
+    unloaded
+        Horizontal area of the unloaded nodes, (ny + 1, nx + 1), mm^2.
+    met
+        Slope (h_x, h_y) of what is met at each node, (2, ny + 1, nx + 1).
+
+    Returns
+    -------
+    tuple
+        The slope, (2, ny + 1, nx + 1), the area A_z or D by which it is divided, (ny + 1, nx + 1),
+        mm^2, and the share (D - A_z) / D that is missing of it.
+    """
+    area = area_vectors(surface)
+    least = np.maximum(area[2], FOLDED * unloaded)
+    missing = 1 - area[2] / least
+    return -area[:2] / least + missing * met, least, missing

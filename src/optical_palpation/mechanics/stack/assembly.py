@@ -140,14 +140,14 @@ def assemble(
         (slave, (sample.nodes[:, 0] if side > 0 else layer.nodes[:, -1])),
         (sample_grid, sample.nodes[:, -1]),
     )
-    window, interface, base = (grid.surface_areas(nodes).ravel() for grid, nodes in surfaces)
+    window, interface, base = (grid.surface_areas(nodes) for grid, nodes in surfaces)
     at_window, at_interface, at_plate = blocks.friction
     free = (True, True, True, True)
     stack = Stack(
         bodies=(layer, sample),
         contacts=(
             Plane(number[0].ravel(), -1.0, at_window),
-            Interface(faces[0], faces[1], at_interface, side, start, master.spacing[2]),
+            Interface(faces[0], faces[1], at_interface, side, start, master.spacing[2], interface),
             Plane(below[-1].ravel(), 1.0, at_plate),
         ),
         sides=(
@@ -155,7 +155,7 @@ def assemble(
             PlaneSides(sample, Facets.of(sample_grid, free), 1.0, at_plate, 1.0),
         ),
         slave_grids=(layer_grid, slave, sample_grid),
-        areas=(window, interface, base),
+        areas=(window.ravel(), interface.ravel(), base.ravel()),
         plate=plate,
         compression=blocks.travel,
         slip_length=_SLIP_LENGTH * typical,

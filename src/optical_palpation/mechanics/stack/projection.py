@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..contact import turning_stiffness
-from ..faces import area_vectors
+from ..faces import push_slope
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -87,7 +87,7 @@ class Interface:
     """Structured surface of one body, ``slaves``, on that of another, ``master`` (ny + 1, nx + 1).
 
     The slaves lie on the +z side of the surface. ``start`` (n, 2): the slaves' first guess of
-    their (column, row) on the surface.
+    their (column, row) on the surface; ``unloaded`` (ny + 1, nx + 1), mm^2, their areas.
     """
 
     slaves: Numbers
@@ -96,6 +96,7 @@ class Interface:
     side: float
     start: Array
     element: float
+    unloaded: Array
 
     def project(self, position: Array) -> Projection:
         """Return where the slaves are on the master's surface."""
@@ -120,9 +121,11 @@ class Interface:
             depth,
         )
         surface = np.moveaxis(position[self.slaves], -1, 0)
-        area = area_vectors(surface)
+        met = -self.side * direction[:, :2].T.reshape(2, *self.slaves.shape)
+        push, area, missing = push_slope(surface, self.unloaded, met)
         turning = np.zeros((*self.slaves.shape, 9, 2, 3))
-        turning_stiffness(surface, self.side / area[2], -area[:2] / area[2], turning)
+        slope = np.where(missing > 0, met, push)
+        turning_stiffness(surface, self.side / area, slope, turning)
         around = np.pad(self.slaves, 1, mode="edge")
         ny, nx = self.slaves.shape
         neighbours = [around[j : j + ny, i : i + nx].ravel() for j in range(3) for i in range(3)]
@@ -131,7 +134,7 @@ class Interface:
             weights=weights,
             gradient=gradient,
             direction=direction,
-            push=self.side * (area / area[2]).reshape(3, -1).T,
+            push=self.side * np.stack([-push[0], -push[1], np.ones_like(area)]).reshape(3, -1).T,
             penetration=depth,
             neighbours=np.stack(neighbours, axis=1),
             turning=turning.reshape(n, 9, 2, 3),
