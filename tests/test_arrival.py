@@ -10,7 +10,7 @@ from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics import path
 from optical_palpation.mechanics.cascade import make_solver
 from optical_palpation.mechanics.iteration import TOLERANCES, relaxed
-from optical_palpation.mechanics.newton import balance
+from optical_palpation.mechanics.newton import LoadedLayer, balance
 from optical_palpation.mechanics.schur import Lubrication
 from optical_palpation.palpation import computational_stress
 from optical_palpation.thickness import thickness_map
@@ -58,12 +58,12 @@ def test_a_disturbed_layer_comes_back_to_rest():
     start.u[:, 1:-1] += 0.004 * np.sin(1.3 * k + 0.7 * j + 0.4 * i)[1:-1]
     now = balance(problem, start)
     assert now.force_error > 1e-2
-    settled, record = path.settle(
-        problem, make_solver(problem, "multigrid"), TOLERANCES, relaxed(TOLERANCES, 100.0), start
-    )
-    assert balance(problem, settled).force_error < TOLERANCES.force
-    assert_allclose(settled.normal_force.sum((1, 2)), force, rtol=0.02)
-    assert record
+    solver = make_solver(problem, "multigrid")
+    way = path.Path(LoadedLayer(problem, solver), TOLERANCES, relaxed(TOLERANCES, 100.0), start)
+    way.settle()
+    assert balance(problem, way.state).force_error < TOLERANCES.force
+    assert_allclose(way.state.normal_force.sum((1, 2)), force, rtol=0.02)
+    assert way.record
 
 
 def test_a_thin_layer_that_sticks_arrives():

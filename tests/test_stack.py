@@ -7,12 +7,12 @@ import pytest
 
 from optical_palpation.experiment import Scene
 from optical_palpation.experiment.assembly import build
-from optical_palpation.mechanics.iteration import TOLERANCES
+from optical_palpation.mechanics.iteration import TOLERANCES, relaxed
+from optical_palpation.mechanics.path import Drag, Path
 from optical_palpation.mechanics.stack import linear, newton
 from optical_palpation.mechanics.stack.cascade import solve
 from optical_palpation.mechanics.stack.newton import balance, make_solver, newton_step
-from optical_palpation.mechanics.stack.path import follow
-from optical_palpation.mechanics.stack.problem import INTERFACE, LAYER, at_rest, column_forces
+from optical_palpation.mechanics.stack.problem import INTERFACE, LAYER
 
 SCENE = {
     "compression": 0.2,
@@ -31,23 +31,20 @@ SCENE = {
 def pressed(**sample):
     """An assembly and its state near equilibrium at 40 % of the load, friction in all its range."""
     assembly = build(Scene.model_validate(SCENE | {"sample": SCENE["sample"] | sample}))
-    path = follow(
-        assembly, at_rest(assembly), column_forces(assembly), make_solver(assembly), target=0.4
-    )
+    state = solve([assembly], target=0.4).state
     # sliding that is neither none nor all, so that friction depends on it
     # and sides that begin to roll onto both planes
     sides = tuple(replace(side, flattened=1.6) for side in assembly.sides)
     assembly = replace(assembly, slip_length=0.02, sides=sides)
     rng = np.random.default_rng(0)
-    state = path.state
     u = state.u + 2e-3 * rng.normal(size=state.u.shape)
     u[: assembly.bodies[LAYER].n_nodes, 0] += 0.01
     forces = tuple(force * (1 + 0.1 * rng.normal(size=force.shape)) for force in state.forces)
     return assembly, state.moved(u, state.p, forces)
 
 
-def residuals(assembly, state):
-    now = balance(assembly, state)
+def residuals(assembly, state, drag=None):
+    now = balance(assembly, state, drag=drag)
     violation = np.concatenate([term.violation for term in now.terms])
     volume = np.concatenate([part.volume_residual.ravel() for part in now.bodies])
     return now.residual, violation, volume
@@ -64,29 +61,50 @@ class Exact:
 
 
 @pytest.mark.parametrize(
-    "sample",
-    [{}, {"size": (2.2, 1.5)}, {"size": (1.0, 1.0)}],
-    ids=["equal", "larger sample", "smaller sample"],
+    ("sample", "viscosity"),
+    [({}, None), ({"size": (2.2, 1.5)}, None), ({"size": (1.0, 1.0)}, None), ({}, 300.0)],
+    ids=["equal", "larger sample", "smaller sample", "against drag"],
 )
-def test_step_is_that_of_the_derivative_of_all_residuals(sample, monkeypatch):
+def test_step_is_that_of_the_derivative_of_all_residuals(sample, viscosity, monkeypatch):
     """Along a Newton step every residual falls in proportion: friction, follower loads, sliding."""
     monkeypatch.setattr(linear, "_LONGEST", 150)
     monkeypatch.setattr(newton, "_HOLD", 0.0)  # stiffness that is in the tangent alone
     assembly, state = pressed(**sample)
-    now = balance(assembly, state)
+    drag = None
+    if viscosity is not None:
+        bound = [1.2 * np.maximum(force, 0.0) for force in state.forces]
+        drag = Drag(viscosity, replace(state, u=0.9 * state.u), bound)
+    now = balance(assembly, state, drag=drag)
     assert (np.abs(now.terms[INTERFACE].slip) > 0.3).any()
     assert all(side.normal_force.any() for side in now.sides)
     du, dp, dn, _ = newton_step(assembly, now, Exact(make_solver(assembly)))
 
     def at(fraction):
-        return residuals(assembly, state.stepped(fraction, du, dp, dn))
+        return residuals(assembly, state.stepped(fraction, du, dp, dn), drag)
 
     small = 1e-4
     for here, up, down, limit in zip(
-        residuals(assembly, state), at(small), at(-small), (2e-4, 2e-3, 2e-4), strict=True
+        residuals(assembly, state, drag), at(small), at(-small), (2e-4, 2e-3, 2e-4), strict=True
     ):
         derivative = (up - down) / (2 * small)
         assert np.linalg.norm(derivative + here) < limit * np.linalg.norm(here)
+
+
+def test_a_disturbed_stack_comes_back_to_rest():
+    """Drag leaves the equilibrium where it was: the result does not depend on it."""
+    assembly = build(Scene.model_validate(SCENE))
+    state = solve([assembly]).state
+    rng = np.random.default_rng(0)
+    start = replace(state, u=state.u + 2e-3 * rng.normal(size=state.u.shape))
+    assert balance(assembly, start).force_error > 1e-2
+    loaded = newton.LoadedStack(assembly, make_solver(assembly))
+    path = Path(loaded, TOLERANCES, relaxed(TOLERANCES, 30.0), start)
+    path.settle()
+    now = balance(assembly, path.state)
+    assert now.force_error < TOLERANCES.force
+    assert now.volume_error < TOLERANCES.volume
+    forces = assembly.total_forces(path.state)
+    np.testing.assert_allclose(forces, assembly.total_forces(state), rtol=2e-3)
 
 
 @pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])

@@ -22,8 +22,8 @@ from .iteration import TOLERANCES, NotConverged, Tolerances, relaxed
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .neighbours import Neighbours
-from .newton import Balance, LinearSolver, equilibrate
-from .path import LoadNotReached, StepControl, follow, settle
+from .newton import Balance, LinearSolver, LoadedLayer, equilibrate
+from .path import LoadNotReached, Path, StepControl
 from .problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
@@ -159,7 +159,7 @@ def solve(
     LoadNotReached
         When the full load is not reached on some grid.
     """
-    tolerances = tolerances or TOLERANCES
+    tolerances, control = tolerances or TOLERANCES, control or StepControl()
     record: list[tuple[int, float, int]] = []
 
     intermediate = relaxed(tolerances, _ON_THE_WAY)
@@ -183,16 +183,14 @@ def solve(
     def settled(level: LayerProblem, state: LayerState) -> LayerState | None:
         """Let a loaded layer come to rest; None where it does not."""
         report = partial(on_iteration, level) if on_iteration else None
-        # drag is for where the iterative solver is of little use as well
-        linear = (exact(level) or partial(make_solver, level, solver))()
+        layer = LoadedLayer(level, make_solver(level, solver), exact(level))
+        path = Path(layer, wanted(level), intermediate, state, control, report)
         try:
-            state, steps = settle(
-                level, linear, wanted(level), intermediate, state, control, report
-            )
+            path.settle()
         except LoadNotReached:
             return None
-        record.extend((level.grid.n_elements, *step) for step in steps)
-        return state
+        record.extend((level.grid.n_elements, *step) for step in path.record)
+        return path.state
 
     def exact(level: LayerProblem) -> Callable[[], LinearSolver] | None:
         small = solver != "direct" and level.grid.n_elements <= _EXACT
@@ -211,32 +209,23 @@ def solve(
             rest = LayerState.unloaded(level.grid)
             full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
             report = partial(on_iteration, level) if on_iteration else None
-            linear = make_solver(level, solver)
             few = neighbours is not None and level.grid.n_elements <= neighbours.most
             beside = neighbours if few else None
             if beside:
                 beside.begin(level, rest, make_solver(level, solver))
+            layer = LoadedLayer(level, make_solver(level, solver), exact(level))
+            small = intermediate if level is problem else coarse
+            path = Path(layer, wanted(level), small, rest, control, report)
             try:
-                small = intermediate if level is problem else coarse
-                state, steps = follow(
-                    level,
-                    linear,
-                    wanted(level),
-                    small,
-                    rest,
-                    full,
-                    control,
-                    report,
-                    beside,
-                    exact(level),
-                )
+                path.follow(full, beside=beside)
             except LoadNotReached:
                 if beside:
                     beside.stop("the load was not reached")
                 if level is problem:
                     raise
                 continue  # what a coarse grid cannot bear a finer one may
-            record += [(level.grid.n_elements, *step) for step in steps]
+            state = path.state
+            record += [(level.grid.n_elements, *step) for step in path.record]
     assert state is not None  # there is at least one level
     return Solution(problem, state, record, coarser)
 

@@ -11,6 +11,10 @@ class NotConverged(Exception):
     """Newton's method failed at this load; carries the reason."""
 
 
+class HardSystem(NotConverged):
+    """The linear solver did not get there, or took too long."""
+
+
 @dataclass(frozen=True)
 class Tolerances:
     """When a load is reached.
@@ -82,6 +86,8 @@ class Direction(Generic[AnyIterate]):
 #: from nothing to what fits the layer between the surfaces, and friction that turns round, leave
 #: more for a step or two; steps cut short for that get nowhere.
 _MEMORY = 4
+#: Least damping of a step that otherwise fails, in shear moduli per height squared.
+DAMPING = 30.0
 #: How often a step is tried, with ever more damping.
 _ATTEMPTS = 6
 #: Share of its smallest volume ratio that a body must keep in a step.
@@ -128,7 +134,7 @@ def iterate(
         patience = tolerances.patience
         if iteration >= patience and errors[-1] > 0.3 * errors[-1 - patience]:
             raise NotConverged("Newton's method stagnates")
-        if iteration > 0 and _met(now, tolerances):
+        if iteration > 0 and met(now, tolerances):
             return now, iteration
         krylov = 0
         for _ in range(_ATTEMPTS):
@@ -147,12 +153,13 @@ def iterate(
         if damping < 0.1 * least_damping:
             damping = 0.0
         now = after
-    if _met(now, tolerances):
+    if met(now, tolerances):
         return now, tolerances.iterations
     raise NotConverged(f"no convergence in {tolerances.iterations} Newton iterations")
 
 
-def _met(now: Iterate, tolerances: Tolerances) -> bool:
+def met(now: Iterate, tolerances: Tolerances) -> bool:
+    """Whether an iterate is in equilibrium."""
     return now.force_error < tolerances.force and now.volume_error < tolerances.volume
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol
 
@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from .contact import (
     ContactLinearisation,
     linearise,
+    remember_slip,
     slip_coordinate,
 )
 from .friction import direction_step, friction_direction
 from .grid import contact_nodes, face_and_sides
-from .iteration import Direction, NotConverged, Tolerances, iterate
+from .iteration import DAMPING, Direction, HardSystem, Tolerances, iterate, met
+from .path import Drag
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .side_contact import SideContact, side_contact
 from .side_flow import SideFlow
@@ -63,26 +65,6 @@ class LinearSolver(Protocol):
 _PRESSURE = 4.0
 #: Steps by the tangent of another state, and the share of the imbalance that each may leave.
 _CHORDS, _NEARER = 6, 0.5
-#: Least damping of a step that otherwise fails, in shear moduli per thickness squared.
-_DAMPING = 30.0
-
-
-@dataclass(frozen=True, eq=False)
-class Drag:
-    """One implicit Euler step of a layer in honey, from the state ``origin``.
-
-    ``viscosity`` is the force per volume and displacement, kPa / mm^2. Friction is bounded by given
-    normal forces, ``bound`` (2, ny + 1, nx + 1), mN: where it is bounded by those that are sought,
-    nodes at free edges stick, lose contact, slip back and touch again for ever.
-    """
-
-    viscosity: float
-    origin: LayerState
-    bound: Array
-
-    def force(self, problem: LayerProblem, u: Array) -> Array:
-        """Nodal forces of the drag, mN."""
-        return self.viscosity * problem.grid.node_volumes * (u - self.origin.u)
 
 
 @dataclass
@@ -98,7 +80,7 @@ class Balance:
 
     state: LayerState
     direction: Array
-    drag: Drag | None
+    drag: Drag[LayerState] | None
     force: Array
     residual: Array
     volume: Array
@@ -117,13 +99,13 @@ def balance(
     problem: LayerProblem,
     state: LayerState,
     direction: Array | None = None,
-    drag: Drag | None = None,
+    drag: Drag[LayerState] | None = None,
 ) -> Balance:
     """Evaluate equilibrium, incompressibility and contact at a state (see ``linearise``)."""
     body = problem.body.forces(state.u, state.p)
     force, volume, volume_ref = body.force, body.volume, body.reference_volume
     if drag is not None:
-        force += drag.force(problem, state.u)
+        force += drag.viscosity * problem.grid.node_volumes * (state.u - drag.origin.u)
     if problem.border is not None:
         force[:, *problem.border.nodes] += problem.border.resistance(state.u)
     w = slip_coordinate(problem, state)
@@ -138,7 +120,7 @@ def balance(
         held = state.normal_force.copy()
         held[glued] = np.stack([force[2, 0], -force[2, -1]])[glued]
         state = replace(state, normal_force=held)
-    bound = None if drag is None else drag.bound
+    bound = None if drag is None else np.stack(drag.bound)
     contact = linearise(problem, state, force, w, direction, bound)
     out = force.copy()
     for face, k, sign in ((WINDOW, 0, -1.0), (SAMPLE, -1, 1.0)):
@@ -203,9 +185,9 @@ def _direction(
     rhs = system.right_hand_side(problem, now)
     du, dp, krylov = solver.solve(rhs, tolerances.linear)
     if not (np.isfinite(du).all() and np.isfinite(dp).all()):
-        raise NotConverged("the linear system could not be solved")
+        raise HardSystem("the linear system could not be solved")
     if krylov >= tolerances.krylov:
-        raise NotConverged("the tangent is nearly singular")
+        raise HardSystem("the tangent is nearly singular")
     step = system.to_cartesian(du)
     change = system.contact_forces(now.force, du, dp) - state.normal_force
     slip_step = contact_nodes(step[:2].astype(float)) / problem.slip_length
@@ -235,7 +217,7 @@ def equilibrate(
     solver: LinearSolver,
     tolerances: Tolerances,
     on_iteration: Callable[[int, Balance, int], None] | None = None,
-    drag: Drag | None = None,
+    drag: Drag[LayerState] | None = None,
     near: bool = False,
 ) -> tuple[Balance, int]:
     """Bring a state into equilibrium at its load, ``drag`` included.
@@ -253,7 +235,7 @@ def equilibrate(
     NotConverged
         When the iterations run out, an element turns inside out or numbers overflow.
     """
-    least = _DAMPING * problem.shear_modulus / float(np.median(problem.grid.thickness)) ** 2
+    least = DAMPING * _stiffness(problem)
 
     def step(now: Balance, damping: float) -> Direction[Balance]:
         return _newton_step(problem, now, solver, tolerances, damping)
@@ -262,6 +244,71 @@ def equilibrate(
         first = None if near else friction_direction(state.slip)
         start = balance(problem, state, first, drag)
         return iterate(start, step, tolerances, least, on_iteration)
+
+
+def _stiffness(problem: LayerProblem) -> float:
+    """Shear modulus per thickness squared, kPa / mm^2."""
+    return problem.shear_modulus / float(np.median(problem.grid.thickness)) ** 2
+
+
+@dataclass
+class LoadedLayer:
+    """A layer on an imprint as ``Path`` loads it.
+
+    ``exact`` makes a linear solver that is exact, for where the other one is of little use: thin
+    layers that stick make linear systems which an iterative one hardly solves.
+    """
+
+    problem: LayerProblem
+    solver: LinearSolver
+    exact: Callable[[], LinearSolver] | None = None
+
+    @property
+    def stiffness(self) -> float:
+        """Shear modulus per thickness squared, kPa / mm^2."""
+        return _stiffness(self.problem)
+
+    @property
+    def volumes(self) -> Array:
+        """Volume of each node, (n), mm^3."""
+        return self.problem.grid.node_volumes.ravel()
+
+    def displacement(self, state: LayerState) -> Array:
+        """Displacement (x, y, z) of the nodes, (3, n), mm."""
+        return state.u.reshape(3, -1)
+
+    def contact_forces(self, state: LayerState) -> Sequence[Array]:
+        """Normal forces at window and sample, (ny + 1, nx + 1) each, mN."""
+        return list(state.normal_force)
+
+    def balance(self, state: LayerState) -> Balance:
+        """How far a state is from equilibrium."""
+        return balance(self.problem, state)
+
+    def equilibrate(
+        self,
+        trial: LayerState,
+        tolerances: Tolerances,
+        on_iteration: Callable[[int, Balance, int], None],
+        drag: Drag[LayerState] | None,
+    ) -> tuple[Balance, int]:
+        """Equilibrium at the load of ``trial``, and the Newton iterations; else NotConverged."""
+        return equilibrate(self.problem, trial, self.solver, tolerances, on_iteration, drag)
+
+    def remember(self, state: LayerState) -> LayerState:
+        """Return the state, its reference slip laid."""
+        remember_slip(self.problem, state)
+        return state
+
+    @property
+    def has_exact(self) -> bool:
+        """Whether there is an exact linear solver other than the present one."""
+        return self.exact is not None
+
+    def solve_exactly(self) -> None:
+        """Go on with that."""
+        assert self.exact is not None
+        self.solver, self.exact = self.exact(), None
 
 
 def equilibrate_by(
@@ -289,7 +336,7 @@ def equilibrate_by(
             now = after
             if now.min_jacobian <= 0:
                 return None
-            if now.force_error < tolerances.force and now.volume_error < tolerances.volume:
+            if met(now, tolerances):
                 return now.state
             if not nearer:
                 return None

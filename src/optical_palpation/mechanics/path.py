@@ -1,96 +1,159 @@
-"""Following the load path from the unloaded layer, with automatic step control.
+"""Following a load path, with automatic step control, of a layer on an imprint or of a stack.
 
-Loads are increased step by step, each in equilibrium by Newton's method (``follow``). Where the
-layer snaps, rolls or slides there is no equilibrium next to the last one, however small the step:
-the layer then moves as if in honey until it is at rest (``settle``).
+Loads are increased step by step, each in equilibrium by Newton's method (``Path.follow``). Where a
+body snaps, rolls or slides there is no equilibrium next to the last one, however small the step: it
+then moves as if in honey until it is at rest (``Path.settle``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .contact import remember_slip
-from .iteration import NotConverged, Tolerances
-from .neighbours import Neighbours
-from .newton import Balance, Drag, LinearSolver, balance, equilibrate
-from .problem import LayerProblem, LayerState
+from .iteration import HardSystem, Iterate, NotConverged, Tolerances, met
 
 Array = NDArray[np.float64]
-Report = Callable[[float, int, Balance, int], None]
 
-#: Newton iterations in which a load path must arrive, and a layer that is carried over to another
-#: grid come to rest; after that its load is followed on that grid.
+#: Newton iterations in which a load path must arrive, and bodies that are carried over to another
+#: grid come to rest; after that their load is followed on that grid.
 _FOLLOWED, _CARRIED = 250, 80
+#: Iterations of the linear solver beyond which the exact one is the quicker on a small grid.
+_KRYLOV = 40
 #: Increment of the load below which drag takes over.
 _SNAP = 0.02
-#: Snaps after which the drag stays until the layer is fully loaded: there are always more.
+#: Snaps after which the drag stays until the full load is reached: there are always more.
 _SNAPS = 1
-#: Viscosity in shear moduli per thickness squared: at first, the least and the most. It is halved
-#: after an easy step (a quarter of it is left once the layer is fully loaded), and four times as
-#: large, with half the increment, after a failure.
+#: Viscosity, in the ``stiffness`` of what is loaded: at first, the least and the most. It is halved
+#: after an easy step (a quarter of it is left at the full load), and four times as large, with half
+#: the increment, after a failure.
 _VISCOSITY, _LEAST, _MOST = 100.0, 0.01, 1e5
 #: Least increment of the load against drag.
 _CREEP = 1e-5
-#: Drag, as a share of the contact forces, below which the layer is as good as at rest: fully
-#: loaded, and on the way there.
+#: Drag, as a share of the contact forces, below which all is as good as at rest: at the full load,
+#: and on the way there.
 _REST = (0.03, 0.01)
 #: Share of the contact forces out of balance below which Newton's method is tried without drag.
 _NEAR = 0.1
-#: Steps in which a fully loaded layer must come to rest.
+#: Steps in which fully loaded bodies must come to rest.
 _HELD = 120
+
+
+class Loadable(Protocol):
+    """A state at a load, from 0 to 1."""
+
+    @property
+    def load(self) -> float: ...  # noqa: D102
+
+    def at_load(self, load: float) -> Self:
+        """Return the same state at another load."""
+        ...
+
+    def towards(self, other: Self, load: float) -> Self:
+        """Go on to a load on the straight line through another state."""
+        ...
+
+
+AnyState = TypeVar("AnyState", bound=Loadable)
+Given = TypeVar("Given", bound=Loadable, covariant=True)
+Taken = TypeVar("Taken", bound=Loadable, contravariant=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Drag(Generic[AnyState]):
+    """One implicit Euler step of bodies in honey, from the state ``origin``.
+
+    ``viscosity`` is the force per volume and displacement, kPa / mm^2. Friction of each contact is
+    bounded by given normal forces, ``bound``, mN: where it is bounded by those that are sought,
+    nodes at free edges stick, lose contact, slip back and touch again for ever.
+    """
+
+    viscosity: float
+    origin: AnyState
+    bound: Sequence[Array]
+
+
+class Reached(Iterate, Protocol[Given]):
+    """A state, and how far it is from equilibrium."""
+
+    @property
+    def state(self) -> Given: ...  # noqa: D102
+
+
+class Loaded(Protocol[AnyState]):
+    """What is loaded, with a linear solver for it."""
+
+    @property
+    def stiffness(self) -> float:
+        """Shear modulus per height squared, kPa / mm^2, the scale of damping and drag."""
+        ...
+
+    @property
+    def volumes(self) -> Array:
+        """Volume of each node, (n), mm^3."""
+        ...
+
+    def displacement(self, state: AnyState) -> Array:
+        """Displacement (x, y, z) of the nodes, (3, n), mm."""
+        ...
+
+    def contact_forces(self, state: AnyState) -> Sequence[Array]:
+        """Normal forces of each contact, mN."""
+        ...
+
+    def balance(self, state: AnyState) -> Reached[AnyState]:
+        """How far a state is from equilibrium."""
+        ...
+
+    def equilibrate(
+        self,
+        trial: AnyState,
+        tolerances: Tolerances,
+        on_iteration: Callable[[int, Any, int], None],
+        drag: Drag[AnyState] | None,
+    ) -> tuple[Reached[AnyState], int]:
+        """Equilibrium at the load of ``trial``, and the Newton iterations; else NotConverged."""
+        ...
+
+    def remember(self, state: AnyState) -> AnyState:
+        """Return the state from which the next load starts, its reference slip laid."""
+        ...
+
+    @property
+    def has_exact(self) -> bool:
+        """Whether there is an exact linear solver other than the present one."""
+        ...
+
+    def solve_exactly(self) -> None:
+        """Go on with that."""
+        ...
+
+
+class Beside(Protocol[Taken]):
+    """What is followed beside a path."""
+
+    def load(self, state: Taken) -> None:
+        """Follow to a state of the path."""
+        ...
+
+    def stop(self, failure: str) -> None:
+        """Follow no further."""
+        ...
 
 
 @dataclass(frozen=True)
 class StepControl:
     """Load increments, as fractions of the full load.
 
-    A load reached in at most ``easy`` Newton iterations lets the next increment grow. Where the
-    increment falls below ``smallest`` there is taken to be no equilibrium near the last one.
+    A load reached in at most ``easy`` Newton iterations lets the next increment grow.
     """
 
     first: float = 0.1
     largest: float = 0.3
-    smallest: float = 1e-3
     easy: int = 6
-
-
-@dataclass
-class Path:
-    """How far a load path has come, and its record of (load, Newton iterations).
-
-    ``before`` is the state before the last one, ``spent`` counts all Newton iterations, those of
-    loads that were not reached too, of ``allowed`` ones.
-    """
-
-    state: LayerState
-    before: LayerState
-    report: Report | None = None
-    allowed: int = _FOLLOWED
-    record: list[tuple[float, int]] = field(default_factory=list)
-    spent: int = 0
-
-    def counting(self, load: float) -> Callable[[int, Balance, int], None]:
-        """Return a function that counts and reports the iterations at a load."""
-
-        def count(iteration: int, now: Balance, krylov: int) -> None:
-            self.spent += iteration > 0
-            if self.report:
-                self.report(load, iteration, now, krylov)
-
-        return count
-
-    def advance(self, state: LayerState, iterations: int) -> None:
-        """Accept a state in equilibrium."""
-        self.record.append((state.load, iterations))
-        self.before, self.state = self.state, state
-
-    def stopped(self, reason: object) -> LoadNotReached:
-        """Return the error that says where the path ended, and why."""
-        return LoadNotReached(self.state.load, str(reason))
 
 
 class LoadNotReached(Exception):
@@ -102,194 +165,217 @@ class LoadNotReached(Exception):
         self.reason = reason
 
 
-def extrapolated(state: LayerState, other: LayerState, load: float) -> LayerState:
-    """Continue the straight line from one state through another, from ``state``, to ``load``."""
-    out = state.copy()
-    out.load = load
-    ratio = (load - state.load) / (other.load - state.load)
-    out.u += ratio * (other.u - state.u)
-    out.p += ratio * (other.p - state.p)
-    out.normal_force += ratio * (other.normal_force - state.normal_force)
-    np.maximum(out.normal_force, 0.0, out=out.normal_force)
-    return out
+@dataclass
+class Path(Generic[AnyState]):
+    """The way from one state to others, each in equilibrium at its load.
 
-
-def follow(
-    problem: LayerProblem,
-    solver: LinearSolver,
-    tolerances: Tolerances,
-    intermediate: Tolerances,
-    start: LayerState,
-    full: LayerState,
-    control: StepControl | None = None,
-    report: Report | None = None,
-    neighbours: Neighbours | None = None,
-    exact: Callable[[], LinearSolver] | None = None,
-) -> tuple[LayerState, list[tuple[float, int]]]:
-    """Load the layer fully, from ``start`` on.
-
-    Parameters
+    Attributes
     ----------
+    loaded
+        What is loaded.
     tolerances, intermediate
-        When the full load is reached, and a smaller one.
-    start
-        A layer in equilibrium, its reference slip laid.
-    full
-        An estimate of the fully loaded layer, towards which the first step is begun.
-    neighbours
-        What is to be followed beside it.
-    exact
-        Makes a linear solver that is exact, to be tried where load increments get small: thin
-        layers that stick make linear systems which the iterative one hardly solves.
-
-    Returns
-    -------
-    tuple
-        The loaded layer, and the record of (load, Newton iterations).
-
-    Raises
-    ------
-    LoadNotReached
+        When the full load and other loads that were asked for are reached, and those on the way.
+    state
+        The last state that was accepted; at first one in equilibrium, its reference slip laid.
+    control
+        Of the load increments.
+    report
+        Called with the load, the number of the Newton iteration, the balance and the iterations of
+        the linear solver.
+    before
+        The state accepted before the last one.
+    record
+        (load, Newton iterations) of all that were accepted.
+    spent
+        All Newton iterations, those of loads that were not reached too.
     """
-    control = control or StepControl()
-    path = Path(start, start, report)
-    step = control.first
-    snaps = 0
-    while path.state.load < 1.0:
-        steps = np.ceil((1.0 - path.state.load) / step - 1e-9)  # equal ones, not a small last one
-        load = 1.0 if steps == 1 else path.state.load + (1.0 - path.state.load) / steps
-        other = full if path.before is path.state else path.before
-        trial = extrapolated(path.state, other, load)
-        wanted = tolerances if load == 1.0 else intermediate
-        try:
-            now, count = equilibrate(problem, trial, solver, wanted, path.counting(load))
-        except NotConverged as failure:
-            step = 0.5 * (load - path.state.load)
-            if path.spent > path.allowed:
-                raise path.stopped(failure) from None
-            if step < _SNAP and exact is not None:
-                solver, exact = exact(), None
-                step = _SNAP
-                continue
-            if step < _SNAP:
-                if neighbours:
-                    neighbours.stop(
-                        f"at {path.state.load:.0%} of the load the layer snaps or slides"
-                    )
-                snaps += 1
-                _settle(
-                    problem,
-                    solver,
-                    tolerances,
-                    intermediate,
-                    path,
-                    step,
-                    control.easy,
-                    stay=snaps > _SNAPS,
-                )
-                step = _SNAP
-            continue
-        if load < 1.0:
-            remember_slip(problem, now.state)
-        path.advance(now.state, count)
-        if neighbours:
-            neighbours.load(now.state)
-        if count <= control.easy:
-            step = min(control.largest, 1.5 * step)
-    return path.state, path.record
 
+    loaded: Loaded[AnyState]
+    tolerances: Tolerances
+    intermediate: Tolerances
+    state: AnyState
+    control: StepControl = field(default_factory=StepControl)
+    report: Callable[[float, int, Any, int], None] | None = None
+    before: AnyState | None = None
+    record: list[tuple[float, int]] = field(default_factory=list, init=False)
+    spent: int = field(default=0, init=False)
 
-def settle(
-    problem: LayerProblem,
-    solver: LinearSolver,
-    tolerances: Tolerances,
-    intermediate: Tolerances,
-    start: LayerState,
-    control: StepControl | None = None,
-    report: Report | None = None,
-) -> tuple[LayerState, list[tuple[float, int]]]:
-    """Let a fully loaded layer that is not in equilibrium come to rest; as ``follow``.
+    def follow(
+        self,
+        full: AnyState,
+        target: float = 1.0,
+        stops: Sequence[float] = (),
+        beside: Beside[AnyState] | None = None,
+    ) -> list[AnyState]:
+        """Load up to ``target``.
 
-    How it gets there is no part of its history: slip goes on counting from where it did at first.
-    """
-    path = Path(start, start, report, _CARRIED)
-    control = control or StepControl()
-    _settle(problem, solver, tolerances, intermediate, path, _SNAP, control.easy, moves=False)
-    return path.state, path.record
+        Parameters
+        ----------
+        full
+            An estimate at full load, towards which the first step is begun where there is no state
+            ``before``.
+        stops
+            Loads on the way, the states at which are kept.
+        beside
+            Followed beside it.
 
+        Returns
+        -------
+        list
+            The states at the stops.
 
-def _settle(
-    problem: LayerProblem,
-    solver: LinearSolver,
-    tolerances: Tolerances,
-    intermediate: Tolerances,
-    path: Path,
-    step: float,
-    easy: int,
-    stay: bool = False,
-    moves: bool = True,
-) -> None:
-    """Go on along a path against drag: to full load and rest, or to next to no drag before that.
-
-    Friction is bounded by the contact forces before each step (``Drag``); of a fully loaded layer,
-    by the mean of these and the bound before: great friction at free edges would swing with them.
-    When they no longer change, and nothing moves, the state is one of equilibrium as it stands.
-    Newton's method, with friction bounded by what is sought, is tried again whenever a tenth is
-    left of what was out of balance. Where the layer ``moves``, it slips on its way, and friction
-    remembers that.
-    """
-    unit = problem.shear_modulus / float(np.median(problem.grid.thickness)) ** 2
-    viscosity, held, wanted, near = _VISCOSITY, 0, intermediate, np.inf
-    bound = path.state.normal_force
-    while True:
-        load = min(1.0, path.state.load + step)
-        drag = Drag(viscosity * unit, path.state, bound)
-        trial = replace(path.state, load=load)
-        try:
-            now, count = equilibrate(problem, trial, solver, wanted, path.counting(load), drag)
-        except NotConverged as failure:
-            viscosity *= 4.0
-            step *= 0.5
-            if viscosity > _MOST or step < _CREEP or path.spent > path.allowed:
-                raise path.stopped(failure) from None
-            continue
-        force = float(np.linalg.norm(drag.force(problem, now.state.u)))
-        share = force / max(float(np.linalg.norm(now.state.normal_force)), 1e-30)
-        if moves:
-            remember_slip(problem, now.state)
-        path.advance(now.state, count)
-        if count <= easy:
-            step *= 1.5
-            viscosity = max(_LEAST, (0.5 if load < 1.0 else 0.25) * viscosity)
-        if load < 1.0:
-            bound = path.state.normal_force
-            if share < _REST[1] and not stay:
-                return
-            continue
-        bound = 0.5 * (bound + path.state.normal_force)
-        rest = balance(problem, path.state)
-        if rest.force_error < tolerances.force and rest.volume_error < tolerances.volume:
-            return
-        held += 1
-        if held > _HELD:
-            raise path.stopped(_restless(path, problem))
-        if share < _REST[0] and rest.force_error < min(near, _NEAR):
-            wanted, near = tolerances, 0.1 * rest.force_error
+        Raises
+        ------
+        LoadNotReached
+        """
+        step, snaps = self.control.first, 0
+        ends, kept = sorted({*stops, target}), list[AnyState]()
+        while self.state.load < target:
+            start = self.state.load
+            end = next(load for load in ends if load > start)
+            steps = np.ceil((end - start) / step - 1e-9)  # equal ones, not a small last one
+            load = end if steps == 1 else start + float((end - start) / steps)
+            exact = load == 1.0 or load in stops
+            trial = self.state.towards(full if self.before is None else self.before, load)
             try:
-                now, count = equilibrate(
-                    problem, path.state, solver, tolerances, path.counting(load)
-                )
-            except NotConverged:
+                now, count = self._reach(trial, self.tolerances if exact else self.intermediate)
+            except NotConverged as failure:
+                if self.spent > _FOLLOWED:
+                    raise self._stopped(failure) from None
+                smaller = 0.5 * (load - start)
+                step = max(_SNAP, smaller)
+                if smaller >= _SNAP:
+                    continue
+                if self.loaded.has_exact:
+                    self.loaded.solve_exactly()
+                    continue
+                if beside:
+                    beside.stop(f"at {start:.0%} of the load the layer snaps or slides")
+                snaps += 1
+                self._creep(end, smaller, _FOLLOWED, stay=snaps > _SNAPS)
+                if self.state.load in stops:
+                    kept.append(self.state)
                 continue
-            path.advance(now.state, count)
-            return
+            if load in stops:
+                kept.append(now.state)
+            self._accept(self.loaded.remember(now.state) if load < 1.0 else now.state, count)
+            if beside:
+                beside.load(self.state)
+            if count <= self.control.easy:
+                step = min(self.control.largest, 1.5 * step)
+        return kept
+
+    def settle(self) -> None:
+        """Let fully loaded bodies that are not in equilibrium come to rest.
+
+        How they get there is no part of their history: slip goes on counting from where it did at
+        first.
+
+        Raises
+        ------
+        LoadNotReached
+        """
+        self._creep(1.0, _SNAP, _CARRIED, moves=False)
+
+    def _creep(
+        self, end: float, step: float, allowed: int, stay: bool = False, moves: bool = True
+    ) -> None:
+        """Go on against drag: to a load and rest, or to next to no drag before that.
+
+        Friction is bounded by the contact forces before each step (``Drag``); once the load is
+        reached, by the mean of these and the bound before: great friction at free edges would swing
+        with them. When they no longer change, and nothing moves, the state is one of equilibrium as
+        it stands. Newton's method, with friction bounded by what is sought, is tried again whenever
+        a tenth is left of what was out of balance. What ``moves`` slips on its way, and friction
+        remembers that.
+        """
+        loaded = self.loaded
+        viscosity, held, wanted, near = _VISCOSITY, 0, self.intermediate, np.inf
+        bound = loaded.contact_forces(self.state)
+        while True:
+            load = min(end, self.state.load + step)
+            drag = Drag(viscosity * loaded.stiffness, self.state, bound)
+            try:
+                now, count = self._reach_somehow(self.state.at_load(load), wanted, drag)
+            except NotConverged as failure:
+                viscosity *= 4.0
+                step *= 0.5
+                if viscosity > _MOST or step < _CREEP or self.spent > allowed:
+                    raise self._stopped(failure) from None
+                continue
+            forces = loaded.contact_forces(now.state)
+            share = self._force(drag, now.state) / max(_norm(forces), 1e-30)
+            self._accept(loaded.remember(now.state) if moves else now.state, count)
+            if count <= self.control.easy:
+                step *= 1.5
+                viscosity = max(_LEAST, (0.5 if load < end else 0.25) * viscosity)
+            if load < end:
+                bound = forces
+                if share < _REST[1] and not stay:
+                    return
+                continue
+            bound = [0.5 * (before + after) for before, after in zip(bound, forces, strict=True)]
+            rest = loaded.balance(self.state)
+            if met(rest, self.tolerances):
+                return
+            held += 1
+            if held > _HELD:
+                raise self._stopped(self._restless())
+            if share < _REST[0] and rest.force_error < min(near, _NEAR):
+                wanted, near = self.tolerances, 0.1 * rest.force_error
+                try:
+                    now, count = self._reach_somehow(self.state, self.tolerances)
+                except NotConverged:
+                    continue
+                self._accept(now.state, count)
+                return
+
+    def _reach(
+        self, trial: AnyState, wanted: Tolerances, drag: Drag[AnyState] | None = None
+    ) -> tuple[Reached[AnyState], int]:
+        """Equilibrium at the load of ``trial``, and the iterations; all of them are counted."""
+
+        def count(iteration: int, now: Any, krylov: int) -> None:
+            self.spent += iteration > 0
+            if self.report:
+                self.report(trial.load, iteration, now, krylov)
+
+        return self.loaded.equilibrate(trial, wanted, count, drag)
+
+    def _reach_somehow(
+        self, trial: AnyState, wanted: Tolerances, drag: Drag[AnyState] | None = None
+    ) -> tuple[Reached[AnyState], int]:
+        """As ``_reach``, with the exact linear solver where the iterative one takes long."""
+        if not self.loaded.has_exact:
+            return self._reach(trial, wanted, drag)
+        try:
+            return self._reach(trial, replace(wanted, krylov=_KRYLOV), drag)
+        except HardSystem:
+            self.loaded.solve_exactly()
+            return self._reach(trial, wanted, drag)
+
+    def _force(self, drag: Drag[AnyState], state: AnyState) -> float:
+        """What the drag of a step held, as a 2-norm, mN."""
+        moved = self.loaded.displacement(state) - self.loaded.displacement(drag.origin)
+        return float(np.linalg.norm(drag.viscosity * self.loaded.volumes * moved))
+
+    def _accept(self, state: AnyState, iterations: int) -> None:
+        self.record.append((state.load, iterations))
+        self.before, self.state = self.state, state
+
+    def _stopped(self, reason: object) -> LoadNotReached:
+        return LoadNotReached(self.state.load, str(reason))
+
+    def _restless(self) -> str:
+        """Why fully loaded bodies do not come to rest."""
+        assert self.before is not None  # a step was accepted before
+        at, before = (self.loaded.displacement(s) for s in (self.state, self.before))
+        step, weights = (at - before)[:2], self.loaded.volumes / self.loaded.volumes.sum()
+        together = float(np.linalg.norm((step * weights).sum(1)))
+        if together > 0.5 * float(np.sqrt((step**2 * weights).sum())):
+            return "nothing holds the layer sideways: it slides from under what presses it"
+        return "the layer does not come to rest"
 
 
-def _restless(path: Path, problem: LayerProblem) -> str:
-    """Why a fully loaded layer does not come to rest."""
-    step = (path.state.u - path.before.u)[:2]
-    weights = problem.grid.node_volumes / problem.grid.node_volumes.sum()
-    together = float(np.linalg.norm((step * weights).sum((1, 2, 3))))
-    if together > 0.5 * float(np.sqrt((step**2 * weights).sum())):
-        return "nothing holds the layer sideways: it slides from under what presses it"
-    return "the layer does not come to rest"
+def _norm(forces: Sequence[Array]) -> float:
+    return float(np.sqrt(sum(float((force**2).sum()) for force in forces)))

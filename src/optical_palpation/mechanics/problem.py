@@ -169,6 +169,21 @@ class LayerState:
         arrays = ("u", "p", "slip", "anchor", "normal_force")
         return replace(self, **{name: getattr(self, name).copy() for name in arrays})
 
+    def at_load(self, load: float) -> LayerState:
+        """Return the same state at another load."""
+        return replace(self, load=load)
+
+    def towards(self, other: LayerState, load: float) -> LayerState:
+        """Go on to a load on the straight line through another state."""
+        out = self.copy()
+        out.load = load
+        ratio = (load - self.load) / (other.load - self.load)
+        out.u += ratio * (other.u - self.u)
+        out.p += ratio * (other.p - self.p)
+        out.normal_force += ratio * (other.normal_force - self.normal_force)
+        np.maximum(out.normal_force, 0.0, out=out.normal_force)
+        return out
+
     def lateral(self) -> Array:
         """Return the lateral displacement at window and sample side, (2, 2, m), mm."""
         return contact_nodes(self.u[:2])

@@ -14,8 +14,8 @@ from .cascade import Solution, make_solver, prolong
 from .grid import LayerGrid
 from .iteration import TOLERANCES, NotConverged, relaxed
 from .multigrid import coarse_nodes
-from .newton import Balance, equilibrate
-from .path import LoadNotReached, settle
+from .newton import Balance, LoadedLayer, equilibrate
+from .path import LoadNotReached, Path
 from .problem import SAMPLE, LayerProblem, LayerState
 
 Array = NDArray[np.float64]
@@ -136,9 +136,10 @@ def _at_rest(
         at_load = partial(report, 1.0) if report else None
         now, count = equilibrate(level, state, linear, wanted, at_load)
     except NotConverged:
-        state, steps = settle(level, linear, wanted, loose, state, None, report)
-        record.extend((level.grid.n_elements, *step) for step in steps)
-        return state
+        path = Path(LoadedLayer(level, linear), wanted, loose, state, report=report)
+        path.settle()
+        record.extend((level.grid.n_elements, *step) for step in path.record)
+        return path.state
     record.append((level.grid.n_elements, 1.0, count))
     return now.state
 

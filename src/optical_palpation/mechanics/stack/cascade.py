@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..iteration import NotConverged
-from ..path import LoadNotReached, StepControl
+from ..iteration import TOLERANCES, NotConverged, relaxed
+from ..path import LoadNotReached, Path, StepControl
 from .contact import ContactState, SideState
-from .linear import StackSolver
-from .newton import Balance, equilibrate, make_solver
-from .path import Path, follow, tolerances
-from .problem import Stack, State, at_rest, column_forces
+from .newton import Balance, LoadedStack, equilibrate, make_solver
+from .problem import Stack, State, at_rest, fully_loaded
 
 Array = NDArray[np.float64]
 Report = Callable[[Stack, float, Balance], None]
 
+#: How much further from balance an equilibrium on the way may be.
+_ON_THE_WAY = 30.0
 #: Fraction of the full load at which a solution changes meshes. Friction depends on the path, and
 #: what happens late, at the free edges above all, depends on the mesh.
 _HANDOVER = 0.25
@@ -26,71 +26,101 @@ _HANDOVER = 0.25
 _CHANGE_OF_MESH = 20.0
 
 
-def solve(levels: list[Stack], report: Report | None = None, stops: Sequence[float] = ()) -> Path:
-    """Compress to the full travel; ``levels`` are meshes of one scene, coarse to fine.
+@dataclass
+class Solution:
+    """The compressed stack, and how it was reached.
+
+    ``record`` lists (elements, load, Newton iterations) of every accepted equilibrium, ``stops``
+    are the states at the loads that were asked for.
+    """
+
+    state: State
+    record: list[tuple[int, float, int]]
+    stops: list[State]
+
+
+def solve(
+    levels: list[Stack],
+    report: Report | None = None,
+    stops: Sequence[float] = (),
+    control: StepControl | None = None,
+    target: float = 1.0,
+) -> Solution:
+    """Compress to a share ``target`` of the full travel; ``levels`` are meshes, coarse to fine.
 
     The states of the finest mesh at the loads ``stops`` are kept.
 
     Raises
     ------
     LoadNotReached
-        When the full load is not reached on some mesh.
+        When the load is not reached on some mesh.
     """
-    path: Path | None = None
+    path: Path[State] | None = None
+    record: list[tuple[int, float, int]] = []
+    kept: list[State] | None = None
     handover = min(_HANDOVER, *(0.5 * load for load in stops)) if stops else _HANDOVER
     for n, level in enumerate(levels):
-        last = level is levels[-1]
-        target, here = (1.0, stops) if last else (handover, ())
-
-        def on_iteration(load: float, now: Balance, level: Stack = level) -> None:
-            if report:
-                report(level, load, now)
-
-        solver = make_solver(level)
+        to, here = (target, stops) if level is levels[-1] else (handover, ())
+        kept = None
         if path is not None:
             try:
-                path = _carried(path, levels[n - 1], level, solver, on_iteration, target, here)
-                continue
+                path = _carried(path, levels[n - 1], level, report)
+                kept = path.follow(path.state, to, here)
             except (NotConverged, LoadNotReached):
-                pass
-        record = path.record if path is not None else []
-        guess = column_forces(level)
-        path = follow(level, at_rest(level), guess, solver, on_iteration, target=target, stops=here)
-        path.record[:0] = record
+                kept = None
+        if path is None or kept is None:
+            path = _path(level, at_rest(level), report, control)
+            kept = path.follow(fully_loaded(level), to, here)
+        record += [(level.n_elements, *step) for step in path.record]
     assert path is not None
-    return path
+    assert kept is not None
+    return Solution(path.state, record, kept)
 
 
-def _carried(
-    path: Path,
-    coarse: Stack,
-    fine: Stack,
-    solver: StackSolver,
-    on_iteration: Callable[[float, Balance], None],
-    target: float,
-    stops: Sequence[float],
-) -> Path:
-    """Go on with a path on a finer mesh."""
-    state, before = (_prolonged(s, coarse, fine) for s in (path.state, path.previous))
+def _path(
+    stack: Stack,
+    state: State,
+    report: Report | None,
+    control: StepControl | None,
+    before: State | None = None,
+) -> Path[State]:
+    """Return a load path from a state on."""
+
+    def on_iteration(load: float, iteration: int, now: Balance, krylov: int) -> None:
+        if report:
+            report(stack, load, now)
+
+    loaded = LoadedStack(stack, make_solver(stack))
+    loose = relaxed(TOLERANCES, _ON_THE_WAY)
+    return Path(loaded, TOLERANCES, loose, state, control or StepControl(), on_iteration, before)
+
+
+def _carried(path: Path[State], coarse: Stack, fine: Stack, report: Report | None) -> Path[State]:
+    """Return a path that goes on from where one on a coarser mesh has come."""
+    assert path.before is not None  # it has gone to the handover
+    state, before = (_prolonged(s, coarse, fine) for s in (path.state, path.before))
     step_u = state.u - before.u
     step_p = [p - q for p, q in zip(state.p, before.p, strict=True)]
     step_n = [n - m for n, m in zip(state.forces, before.forces, strict=True)]
     # The bodies move by micrometres from one mesh to the next. That is no slip: they do so under a
     # friction that hardly feels it, and the memory is laid anew.
     soft = replace(fine, slip_length=_CHANGE_OF_MESH * fine.slip_length)
-    state, count = equilibrate(soft, state, solver, tolerances(state.load), on_iteration)
-    state = _anchored(state, fine)
-    record = [*path.record, (fine.n_elements, state.load, count)]
+
+    def on_iteration(iteration: int, now: Balance, krylov: int) -> None:
+        if report:
+            report(fine, state.load, now)
+
+    loose = relaxed(TOLERANCES, _ON_THE_WAY)
+    now, count = equilibrate(soft, state, make_solver(fine), loose, on_iteration)
+    state = _anchored(now.state, fine)
     before = replace(state, load=before.load).moved(
         state.u - step_u,
         tuple(p - d for p, d in zip(state.p, step_p, strict=True)),
         tuple(n - d for n, d in zip(state.forces, step_n, strict=True)),
     )
-    if state.load == target:
-        return Path(state, before, record)
-    control = StepControl(first=StepControl.largest)
-    rest = follow(fine, state, state.forces, solver, on_iteration, control, before, target, stops)
-    return Path(rest.state, rest.previous, record + rest.record, rest.stops)
+    path = _path(fine, state, report, StepControl(first=StepControl.largest), before)
+    path.record.append((state.load, count))
+    return path
 
 
 def _prolonged(state: State, coarse: Stack, fine: Stack) -> State:

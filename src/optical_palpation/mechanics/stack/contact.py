@@ -51,7 +51,7 @@ class ContactTerms:
     ``residual`` (n, q, 3): nodal forces to add to the internal ones, mN; ``violation`` (n) of the
     law of contact, mN. A step changes N by ``spring`` d phi - ``jump``, but where ``rigid`` phi
     changes by ``step``. ``sliding`` (n, 2) is the friction at the present N, as a share of N, and
-    ``slip`` (n, 2) the w of its law.
+    ``slip`` (n, 2) the w of its law; ``traction`` (n, 2), mN, is friction of a bound that is given.
     """
 
     projection: Projection
@@ -63,6 +63,7 @@ class ContactTerms:
     rigid: NDArray[np.bool_]
     step: Array
     sliding: Array
+    traction: Array
     slip: Array
     friction_stiffness: Array
 
@@ -107,7 +108,7 @@ class ContactTerms:
 
         normal = np.maximum(self.state.force, 0.0)[:, None]
         force = normal * projection.push
-        force[:, :2] -= normal * self.sliding
+        force[:, :2] -= normal * self.sliding + self.traction
         area = area_vectors(np.moveaxis(position[master], -1, 0))
         assert projection.turning is not None
         assert projection.neighbours is not None
@@ -152,10 +153,12 @@ def linearise(
     smoothing: Array,
     slip_length: float,
     direction: Array | None = None,
+    bound: Array | None = None,
 ) -> ContactTerms:
     """Linearise a contact; ``scale`` c and ``smoothing`` eps of its law are per slave.
 
-    ``direction`` is that of friction, by default the one that belongs to the slip.
+    ``direction`` is that of friction, by default the one that belongs to the slip. Friction is
+    bounded by the contact forces themselves or, if given, by the normal forces ``bound`` (n), mN.
     """
     normal = state.force
     t = normal + scale * projection.penetration
@@ -169,7 +172,8 @@ def linearise(
     s = friction_direction(w)
     xx, xy, yy = friction_stiffness(w, s if direction is None else direction)
     turned = np.moveaxis(np.array([[xx, xy], [xy, yy]]), 2, 0)
-    stiff = friction * np.maximum(normal, 0.0) / slip_length
+    stiff = friction * (np.maximum(normal, 0.0) if bound is None else bound) / slip_length
+    given = np.zeros_like(normal) if bound is None else bound
     terms = ContactTerms(
         projection=projection,
         state=state,
@@ -179,11 +183,14 @@ def linearise(
         jump=np.where(rigid, 0.0, violation / other),
         rigid=rigid,
         step=np.where(rigid, violation / (np.where(rigid, slope, 1.0) * scale), 0.0),
-        sliding=friction * s,
+        sliding=friction * s if bound is None else np.zeros_like(s),
+        traction=friction * given[:, None] * s,
         slip=w,
         friction_stiffness=stiff[:, None, None] * turned,
     )
-    return replace(terms, residual=terms.rows * normal[:, None, None])
+    residual = terms.rows * normal[:, None, None]
+    residual[:, :, :2] += projection.weights[:, :, None] * terms.traction[:, None, :]
+    return replace(terms, residual=residual)
 
 
 def touching(projection: Projection, state: ContactState, scale: Array) -> NDArray[np.bool_]:

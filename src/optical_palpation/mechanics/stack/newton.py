@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from ..body import ElementForces
 from ..contact import SMOOTHING
 from ..friction import direction_step, friction_direction
-from ..iteration import Direction, NotConverged, Tolerances, iterate
+from ..iteration import DAMPING, Direction, HardSystem, Tolerances, iterate
+from ..path import Drag
 from ..side_contact import SideContact
-from .contact import ContactTerms, friction_memory, linearise
+from .contact import ContactTerms, friction_memory, linearise, remembered
 from .linear import BodyEquations, StackEquations, StackSolver
 from .problem import LAYER, PLATE, SAMPLE, WINDOW, Stack, State
 from .projection import Interface, Plane
@@ -24,8 +25,6 @@ Array = NDArray[np.float64]
 _LINEAR = 1e-2
 #: Stiffness, in shear moduli times an element's width, that holds each node.
 _HOLD = 1e-3
-#: Least damping of a step that otherwise fails, in shear moduli per height of the stack squared.
-_DAMPING = 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +32,7 @@ class Balance:
     """Internal forces and contact of a state, and how far it is from equilibrium.
 
     ``directions`` are those of friction, unknowns of their own (see ``linearise``): of the
-    contacts, (n, 2), and of the ``sides`` of both bodies, (1, 2, n).
+    contacts, (n, 2), and of the ``sides`` of both bodies, (1, 2, n). ``drag`` is what resists it.
     ``residual`` (n_nodes, 3) are the nodal forces out of balance, mN, ``imbalance`` the 2-norm of
     these and of the violations of the laws of contact, mN; ``force_error`` its share of the contact
     forces.
@@ -41,6 +40,7 @@ class Balance:
 
     state: State
     directions: Sequence[Array]
+    drag: Drag[State] | None
     bodies: list[ElementForces]
     terms: list[ContactTerms]
     sides: list[SideContact]
@@ -56,6 +56,7 @@ def balance(
     state: State,
     smoothing: float = SMOOTHING,
     directions: Sequence[Array] | None = None,
+    drag: Drag[State] | None = None,
 ) -> Balance:
     """Evaluate equilibrium, incompressibility and contact of a state (see ``linearise``)."""
     parts = [
@@ -70,6 +71,7 @@ def balance(
         ]
         directions += [friction_direction(w) for w in stack.side_slip(state)]
     sides = stack.side_contacts(state, directions[len(state.contacts) :])
+    bounds = [None] * len(state.contacts) if drag is None else drag.bound
     terms = [
         linearise(
             contact.friction,
@@ -80,20 +82,24 @@ def balance(
             smoothing * stack.shear_modulus * area,
             stack.slip_length,
             direction,
+            bound,
         )
-        for contact, projection, own, scale, area, direction in zip(
+        for contact, projection, own, scale, area, direction, bound in zip(
             list[Plane | Interface](stack.contacts),
             stack.project(position, state.load),
             state.contacts,
             stack.scales,
             stack.areas,
             directions[: len(state.contacts)],
+            bounds,
             strict=True,
         )
     ]
     for part, side in zip(parts, sides, strict=True):
         part.force[:, *side.nodes] += side.force
     out = np.concatenate([part.force.reshape(3, -1).T for part in parts])
+    if drag is not None:
+        out += drag.viscosity * stack.node_volumes[:, None] * (state.u - drag.origin.u)
     for term in terms:
         np.add.at(out, term.projection.nodes, term.residual)
     scale = max(float(np.linalg.norm(np.concatenate(state.forces))), 1e-30)
@@ -105,6 +111,7 @@ def balance(
     return Balance(
         state=state,
         directions=directions,
+        drag=drag,
         bodies=parts,
         terms=terms,
         sides=sides,
@@ -129,9 +136,8 @@ def newton_step(
     # move it far.
     hold = _HOLD * stack.shear_modulus * stack.bodies[LAYER].grid.spacing[2]
     held = np.full((stack.n_nodes, 3), hold)
-    if damping > 0:
-        volumes = [body.grid.node_volumes.ravel() for body in stack.bodies]
-        held += damping * np.concatenate(volumes)[:, None]
+    viscosity = 0.0 if now.drag is None else now.drag.viscosity
+    held += (viscosity + damping) * stack.node_volumes[:, None]
     parts = zip(
         stack.split(state.u),
         state.p,
@@ -175,9 +181,10 @@ def equilibrate(
     state: State,
     solver: StackSolver,
     tolerances: Tolerances,
-    on_iteration: Callable[[float, Balance], None] | None = None,
-) -> tuple[State, int]:
-    """Return the state in equilibrium at its load, and the number of Newton iterations.
+    on_iteration: Callable[[int, Balance, int], None] | None = None,
+    drag: Drag[State] | None = None,
+) -> tuple[Balance, int]:
+    """Return the equilibrium at the load of a state, and the number of Newton iterations.
 
     Raises
     ------
@@ -185,14 +192,10 @@ def equilibrate(
         When the iterations run out, an element turns inside out or numbers overflow.
     """
 
-    def report(_: int, now: Balance, __: int) -> None:
-        if on_iteration:
-            on_iteration(state.load, now)
-
     def direction(now: Balance, damping: float) -> Direction[Balance]:
         du, dp, dn, krylov = newton_step(stack, now, solver, damping)
         if not np.isfinite(du).all():
-            raise NotConverged("the linear system could not be solved")
+            raise HardSystem("the linear system could not be solved")
         turns = [
             term.turn(du, old, stack.slip_length)
             for term, old in zip(now.terms, now.directions, strict=False)
@@ -208,13 +211,83 @@ def equilibrate(
                 old + fraction * turn for old, turn in zip(now.directions, turns, strict=True)
             ]
             turned = [d / np.maximum(1.0, np.linalg.norm(d, axis=1, keepdims=True)) for d in turned]
-            return balance(stack, now.state.stepped(fraction, du, dp, dn), directions=turned)
+            stepped = now.state.stepped(fraction, du, dp, dn)
+            return balance(stack, stepped, directions=turned, drag=drag)
 
         return Direction(follow, krylov)
 
-    least = _DAMPING * stack.shear_modulus / stack.plate**2
     directions = [friction_direction(contact.memory) for contact in state.contacts]
     directions += [friction_direction(side.memory) for side in state.sides]
-    start = balance(stack, state, directions=directions)
-    now, count = iterate(start, direction, tolerances, least, report)
-    return now.state, count
+    start = balance(stack, state, directions=directions, drag=drag)
+    return iterate(start, direction, tolerances, DAMPING * _stiffness(stack), on_iteration)
+
+
+def _stiffness(stack: Stack) -> float:
+    """Shear modulus of the layer per height of the stack squared, kPa / mm^2."""
+    return stack.shear_modulus / stack.plate**2
+
+
+@dataclass
+class LoadedStack:
+    """A stack as ``Path`` loads it."""
+
+    stack: Stack
+    solver: StackSolver
+
+    @property
+    def stiffness(self) -> float:
+        """Shear modulus of the layer per height of the stack squared, kPa / mm^2."""
+        return _stiffness(self.stack)
+
+    @property
+    def volumes(self) -> Array:
+        """Volume of each node, (n), mm^3."""
+        return self.stack.node_volumes
+
+    def displacement(self, state: State) -> Array:
+        """Displacement (x, y, z) of the nodes, (3, n), mm."""
+        return state.u.T
+
+    def contact_forces(self, state: State) -> Sequence[Array]:
+        """Normal forces of each contact, (n), mN."""
+        return state.forces
+
+    def balance(self, state: State) -> Balance:
+        """How far a state is from equilibrium."""
+        return balance(self.stack, state)
+
+    def equilibrate(
+        self,
+        trial: State,
+        tolerances: Tolerances,
+        on_iteration: Callable[[int, Balance, int], None],
+        drag: Drag[State] | None,
+    ) -> tuple[Balance, int]:
+        """Equilibrium at the load of ``trial``, and the Newton iterations; else NotConverged."""
+        return equilibrate(self.stack, trial, self.solver, tolerances, on_iteration, drag)
+
+    def remember(self, state: State) -> State:
+        """Return the state from which the next load starts: friction remembers, anchors move."""
+        stack, position = self.stack, self.stack.position(state.u)
+        contacts = tuple(
+            remembered(projection, contact, position, scale, stack.slip_length)
+            for projection, contact, scale in zip(
+                stack.project(position, state.load), state.contacts, stack.scales, strict=True
+            )
+        )
+        layer, sample = (
+            own.remembered(u, stack.slip_length, side.normal_force > 0)
+            for own, u, side in zip(
+                state.sides, stack.at_sides(state.u), stack.side_contacts(state), strict=True
+            )
+        )
+        return replace(state, contacts=contacts, sides=(layer, sample))
+
+    @property
+    def has_exact(self) -> bool:
+        """Whether there is an exact linear solver other than the present one."""
+        return False
+
+    def solve_exactly(self) -> None:
+        """Go on with that."""
+        raise NotImplementedError("there is no exact linear solver of a stack")

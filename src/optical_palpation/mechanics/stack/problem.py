@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +51,11 @@ class Stack:
     def n_elements(self) -> int:
         """Number of elements of both bodies."""
         return sum(body.grid.n_elements for body in self.bodies)
+
+    @cached_property
+    def node_volumes(self) -> Array:
+        """Volume of each node, (n_nodes), mm^3."""
+        return np.concatenate([body.grid.node_volumes.ravel() for body in self.bodies])
 
     @property
     def shear_modulus(self) -> float:
@@ -145,6 +151,22 @@ class State:
         )
         return replace(self, u=u, p=(p[0], p[1]), contacts=contacts)
 
+    def at_load(self, load: float) -> State:
+        """Return the same state at another load."""
+        return replace(self, load=load)
+
+    def towards(self, other: State, load: float) -> State:
+        """Go on to a load on the straight line through another state."""
+        ratio = (load - self.load) / (other.load - self.load)
+        return self.at_load(load).moved(
+            self.u + ratio * (other.u - self.u),
+            tuple(p + ratio * (q - p) for p, q in zip(self.p, other.p, strict=True)),
+            tuple(
+                np.maximum(0.0, n + ratio * (m - n))
+                for n, m in zip(self.forces, other.forces, strict=True)
+            ),
+        )
+
     def stepped(
         self, fraction: float, du: Array, dp: Sequence[Array], dn: Sequence[Array]
     ) -> State:
@@ -173,6 +195,14 @@ def at_rest(stack: Stack) -> State:
         ),
         sides=side_states(stack.at_sides(u)),
     )
+
+
+def fully_loaded(stack: Stack) -> State:
+    """Return a first estimate at full load: the sample moved with the plate, columns as springs."""
+    rest = at_rest(stack)
+    u = rest.u.copy()
+    u[stack.bodies[LAYER].n_nodes :, 2] -= stack.compression
+    return rest.at_load(1.0).moved(u, rest.p, column_forces(stack))
 
 
 def side_states(places: Sequence[Array]) -> tuple[SideState, SideState]:

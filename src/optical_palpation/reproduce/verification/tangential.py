@@ -12,8 +12,8 @@ from optical_palpation.mechanics.contact import friction_fraction
 from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.iteration import Tolerances
-from optical_palpation.mechanics.newton import balance
-from optical_palpation.mechanics.path import LoadNotReached, StepControl, follow
+from optical_palpation.mechanics.newton import LoadedLayer, balance
+from optical_palpation.mechanics.path import LoadNotReached, Path, StepControl
 from optical_palpation.mechanics.problem import SAMPLE
 from optical_palpation.palpation.surface import SLIP_SHARE
 from optical_palpation.reproduce.record import Part, Setting
@@ -73,18 +73,13 @@ def sideways(moved: float, across: int) -> tuple[float, float]:
     start.slip = np.zeros_like(start.slip)
     start.anchor = start.lateral()
     tolerances = Tolerances(force=1e-5, volume=1e-7)
+    layer = LoadedLayer(problem, make_solver(problem, "multigrid"))
+    path = Path(layer, tolerances, tolerances, start, StepControl(first=0.25, largest=0.25))
     try:
-        state, _ = follow(
-            problem,
-            make_solver(problem, "multigrid"),
-            tolerances,
-            tolerances,
-            start,
-            replace(start, load=1.0),
-            StepControl(first=0.25, largest=0.25),
-        )
+        path.follow(replace(start, load=1.0))
     except LoadNotReached as failure:
         raise ConvergenceError(str(failure)) from None
+    state = path.state
     now = balance(problem, state)
     vertical = float(state.normal_force[SAMPLE].sum())
     tangential = abs(float(now.force[0, -1].sum()))
