@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 from numpy.testing import assert_allclose
 
 from optical_palpation.errors import InputError
@@ -63,6 +64,17 @@ def test_uniform_stress_goes_through_cut_sides_unchanged():
     assert_allclose(part.maps["axial_stress"], expected, rtol=1e-4)
     assert_allclose(part.maps["algebraic_axial_stress"], expected, rtol=2e-3)
     assert part.maps.attrs["submodel_sides_error"] < 1e-4
+
+
+def test_a_part_under_a_pressure_of_many_shear_moduli():
+    """In the middle of a layer 20 thicknesses wide; a dead load would fold its sides."""
+    x = np.linspace(0, 8, 161)
+    wave = np.sin(7 * x) * np.cos(6 * x)[:, None] + 0.5 * np.cos(11 * x)
+    wide = xr.DataArray(0.34 + 0.01 * wave, {"y": x, "x": x}, ("y", "x"), attrs={"units": "mm"})
+    solved = whole(0.2, 0.2, 0.2, wide)
+    part = submodel_stress(solved, wide, THICKNESS, (3.5, 4.5, 3.6, 4.4), element_size=0.1)
+    assert -float(part.maps["axial_stress"].mean()) > 20 * GEL.shear_modulus
+    assert part.maps.attrs["submodel_change"] < 0.05
 
 
 def test_a_glued_layer_that_is_pulled():

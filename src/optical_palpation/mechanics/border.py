@@ -10,16 +10,20 @@ imprint that is finer than that of the coarse solution has another volume beneat
 incompressible part answers to a difference of 1e-4 with several kPa. Traction alone would let the
 part slide. With k of a few shear moduli per thickness, displacements hold but for what the volume
 needs.
+
+The pressure in t0 follows the sides as they turn, as that of the neighbouring elements would. As a
+dead load of many shear moduli it would fold them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .faces import area_vectors
+from .faces import add_blocks, area_derivatives, area_vectors
 from .grid import LayerGrid
 
 Array = NDArray[np.float64]
@@ -33,36 +37,82 @@ _NEAR = 5
 
 
 @dataclass(frozen=True, eq=False)
+class CutSide:
+    """A cut side, a surface of nodes (nz + 1, n).
+
+    ``nodes`` are their indices (k, j, i), ``unloaded`` their positions, (3, nz + 1, n), mm,
+    ``pressure`` that of the coarse solution, kPa, and ``sign`` that of the area vectors outwards.
+    """
+
+    nodes: Indices
+    unloaded: Array
+    pressure: Array
+    sign: float
+
+    def push(self, u: Array) -> Array:
+        """What the pressure does to the nodes, (3, nz + 1, n), mN."""
+        return -self.sign * self.pressure * area_vectors(self.unloaded + u[:, *self.nodes])
+
+    def turning(self, u: Array) -> tuple[NDArray[np.intp], Array]:
+        """The resistance to turning against it, as ``add_blocks`` takes it."""
+
+        def at_corners(field: NDArray) -> NDArray:
+            here = slice(None, -1), slice(1, None)
+            return np.stack([field[..., y, x].reshape(-1) for y in here for x in here])
+
+        corners = np.stack([at_corners(index) for index in self.nodes])
+        change = area_derivatives(self.unloaded + u[:, *self.nodes])
+        return corners, self.sign * at_corners(self.pressure)[:, None] * change
+
+
+@dataclass(frozen=True, eq=False)
 class Border:
     """What holds the nodes of cut sides.
 
     Attributes
     ----------
+    sides
+        The cut sides, with the pressure on them.
     nodes
-        Indices (k, j, i) of the n nodes, those on both faces too.
+        Indices (k, j, i) of their n nodes, those on both faces too.
     displacement
         u0 of each, (3, n), mm.
     force
-        The traction t0 on the share of each, (3, n), mN.
+        The traction t0 without the pressure, on the share of each, (3, n), mN.
     stiffness
         k times the share of each, (n,), mN / mm.
     """
 
+    sides: tuple[CutSide, ...]
     nodes: Indices
     displacement: Array
     force: Array
     stiffness: Array
 
-    def resistance(self, u: Array) -> Array:
-        """Forces (3, n) with which the nodes pull at what is around them, mN."""
-        return self.stiffness * (u[:, *self.nodes] - self.displacement) - self.force
+    def add_resistance(self, u: Array, force: Array) -> None:
+        """Add the forces with which the nodes pull at what is around them to nodal ones, mN."""
+        held = self.stiffness * (u[:, *self.nodes] - self.displacement) - self.force
+        force[:, *self.nodes] += held
+        for side in self.sides:
+            force[:, *side.nodes] -= side.push(u)
 
-    def add_stiffness(self, diagonal: NDArray[np.floating], k: int) -> None:
-        """Add the stiffness to the diagonal blocks [y, 3 * row + column, x] of plane k."""
+    def turning(self, u: Array) -> list[tuple[NDArray[np.intp], Array]]:
+        """The resistance of each side to turning against the pressure, for ``add_stiffness``."""
+        return [side.turning(u) for side in self.sides]
+
+    def add_stiffness(
+        self,
+        plane: NDArray[np.floating],
+        k: int,
+        turning: Sequence[tuple[NDArray[np.intp], Array]],
+    ) -> None:
+        """Add the stiffness to plane k of the tangent, [y, neighbour, 3 * row + column, x]."""
         _, j, i = self.nodes
         here = self.nodes[0] == k
         for c in (0, 4, 8):
-            diagonal[j[here], c, i[here]] += self.stiffness[here]
+            plane[j[here], 13, c, i[here]] += self.stiffness[here]
+        for corners, blocks in turning:
+            add_blocks(plane, k, corners, blocks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +172,7 @@ class Surroundings:
         """What holds the cut sides of a part, on the nodes of its grid."""
         nz1, ny1, nx1 = part.node_shape
         numbers = np.arange(nz1 * ny1 * nx1).reshape(part.node_shape)
-        found = []
+        found, sides = [], []
         for name, cut in zip(SIDES, self.cut(part), strict=True):
             if not cut:
                 continue
@@ -145,7 +195,12 @@ class Surroundings:
             sign = (1.0 if end else -1.0) * (1.0 if across_x else -1.0)
             area = sign * area_vectors(at + moved)
             xx, yy, zz, yz, xz, xy = tensor
-            rows = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            pressure = -(xx + yy + zz) / 3
+            rows = np.array(
+                [[xx + pressure, xy, xz], [xy, yy + pressure, yz], [xz, yz, zz + pressure]]
+            )
+            index = np.unravel_index(numbers[plane], part.node_shape)
+            sides.append(CutSide((index[0], index[1], index[2]), at, pressure, sign))
             force = np.einsum("cdkn,dkn->ckn", rows, area)
             size = np.linalg.norm(area, axis=0)
             found.append(
@@ -159,7 +214,8 @@ class Surroundings:
             np.add.at(force[c], place, np.concatenate([f[c] for *_, f, _ in found]))
         np.add.at(size, place, np.concatenate([s for *_, s in found]))
         indices = np.unravel_index(nodes, part.node_shape)
-        return Border((indices[0], indices[1], indices[2]), moved, force, self.stiffness * size)
+        found_nodes = indices[0], indices[1], indices[2]
+        return Border(tuple(sides), found_nodes, moved, force, self.stiffness * size)
 
 
 def _at_nodes(field: Array) -> Array:

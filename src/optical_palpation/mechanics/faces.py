@@ -76,3 +76,48 @@ def push_slope(surface: Array, unloaded: Array, met: Array) -> tuple[Array, Arra
     least = np.maximum(area[2], FOLDED * unloaded)
     missing = 1 - area[2] / least
     return -area[:2] / least + missing * met, least, missing
+
+
+def area_derivatives(surface: Array) -> Array:
+    """Derivative of the area vectors of a bilinear surface (3, ny + 1, nx + 1), mm.
+
+    Of what each of the m faces adds to that of its corner a, by the position of its corner b:
+    (3, 3, 4, 4, m), the corners in the order of rows and columns.
+    """
+    corners = np.stack(
+        [surface[:, :-1, :-1], surface[:, :-1, 1:], surface[:, 1:, :-1], surface[:, 1:, 1:]]
+    ).reshape(4, 3, -1)
+    out = np.zeros((3, 3, 4, 4, corners.shape[-1]))
+    for q in range(4):
+        x, y = (_cross_matrix(np.tensordot(SLOPE[q, :, d], corners, 1)) for d in range(2))
+        for a, b in np.ndindex(4, 4):
+            along_x, along_y = SLOPE[q, b]
+            out[:, :, a, b] += 0.25 * SHAPE[q, a] * (along_y * x - along_x * y)
+    return out
+
+
+def _cross_matrix(v: Array) -> Array:
+    """The matrix of v x w, (3, 3, m), of vectors v (3, m)."""
+    zero = np.zeros_like(v[0])
+    return np.array([[zero, -v[2], v[1]], [v[2], zero, -v[0]], [-v[1], v[0], zero]])
+
+
+def add_blocks(
+    plane: NDArray[np.floating], k: int, corners: NDArray[np.intp], blocks: Array
+) -> None:
+    """Add a stiffness between the corners of faces to plane k of a tangent.
+
+    ``plane`` is [y, neighbour, 3 * row + column, x]; ``corners`` are the indices (k, j, i) of the
+    corners of m faces, (3, 4, m), and ``blocks`` (3, 3, 4, 4, m) the stiffness of their corners a
+    by b, mN / mm.
+    """
+    for a in range(4):
+        rows = corners[0, a] == k
+        if not rows.any():
+            continue
+        _, j, i = corners[:, a, rows]
+        for b in range(4):
+            dk, dj, di = corners[:, b, rows] - corners[:, a, rows]
+            m = 9 * (dk + 1) + 3 * (dj + 1) + di + 1
+            for c, d in np.ndindex(3, 3):
+                np.add.at(plane, (j, m, 3 * c + d, i), blocks[c, d, a, b, rows])

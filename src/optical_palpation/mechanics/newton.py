@@ -107,7 +107,7 @@ def balance(
     if drag is not None:
         force += drag.viscosity * problem.grid.node_volumes * (state.u - drag.origin.u)
     if problem.border is not None:
-        force[:, *problem.border.nodes] += problem.border.resistance(state.u)
+        problem.border.add_resistance(state.u, force)
     w = slip_coordinate(problem, state)
     if direction is None:
         direction = friction_direction(w)

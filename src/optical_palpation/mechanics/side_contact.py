@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .faces import add_blocks
 from .friction import friction_direction, friction_stiffness
 from .grid import LayerGrid
 
@@ -134,16 +135,7 @@ class SideContact:
 
     def add_stiffness(self, plane: NDArray[np.floating], k: int) -> None:
         """Add the stiffness to plane k of the tangent, [y, neighbour, 3 * row + column, x]."""
-        for a in range(4):
-            rows = self.facets[0, a] == k
-            if not rows.any():
-                continue
-            _, j, i = self.facets[:, a, rows]
-            for b in range(4):
-                dk, dj, di = self.facets[:, b, rows] - self.facets[:, a, rows]
-                m = 9 * (dk + 1) + 3 * (dj + 1) + di + 1
-                for c, d in np.ndindex(3, 3):
-                    np.add.at(plane, (j, m, 3 * c + d, i), self.blocks[c, d, a, b, rows])
+        add_blocks(plane, k, self.facets, self.blocks)
         here = (self.nodes[0] == k) & self.hold.any((0, 1))
         for c, d in np.ndindex(2, 2):
             plane[self.nodes[1][here], 13, 3 * c + d, self.nodes[2][here]] += self.hold[c, d, here]
