@@ -11,7 +11,8 @@ from optical_palpation.experiment import Scene, read_scene, run_experiment, scen
 from optical_palpation.experiment.assembly import build
 from optical_palpation.experiment.scene import _random_field, with_compression, with_element_size
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.mechanics.stack import path as load_path
+from optical_palpation.mechanics.iteration import NotConverged
+from optical_palpation.mechanics.stack.newton import LoadedStack
 from optical_palpation.mechanics.stack.problem import LAYER, at_rest
 from optical_palpation.palpation import computational_stress
 from optical_palpation.thickness import clean_thickness
@@ -412,14 +413,14 @@ def test_bad_arrays():
 
 def test_compression_out_of_reach_says_how_far_it_came(monkeypatch):
     """Loads above 0.3 fail here, so that the path must halve its steps and give up near there."""
-    solve = load_path.equilibrate
+    equilibrate = LoadedStack.equilibrate
 
-    def fails_late(assembly, state, *arguments):
+    def fails_late(self, state, *arguments):
         if state.load > 0.3:
-            raise load_path.NotConverged("an element turned inside out")
-        return solve(assembly, state, *arguments)
+            raise NotConverged("an element turned inside out")
+        return equilibrate(self, state, *arguments)
 
-    monkeypatch.setattr(load_path, "equilibrate", fails_late)
+    monkeypatch.setattr(LoadedStack, "equilibrate", fails_late)
     with pytest.raises(ConvergenceError, match=r"to (29\.\d|30\.0) % of 0\.05 mm only: an element"):
         run_experiment(scene(compression=0.05, friction=FRICTION), threads=1)
     with pytest.raises(ConvergenceError, match="Nothing holds the layer and the sample sideways"):
