@@ -46,4 +46,4 @@ package: $(VENV)/.installed-test
 	.ci/package
 
 clean:
-	rm -rf $(VENV) demo-output docs-output docs/_generated
+	rm -rf $(VENV) demo-output docs-output jupyter_execute docs/_generated

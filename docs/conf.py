@@ -9,6 +9,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+from docutils import nodes
+from latex2mathml.converter import convert
+
 from optical_palpation.cli import app
 from optical_palpation.runtime import software_version
 from optical_palpation.study import write_template
@@ -64,12 +67,19 @@ sphinx_gallery_conf = {
     "copyfile_regex": r"$^",
 }
 
+# Formulas as MathML, which browsers show without a script from elsewhere; dashes stay dashes, as in
+# the names of options
+html_math_renderer = "mathml"
+smartquotes_action = "qe"
+
 copybutton_prompt_text = r"\$ |>>> "
 copybutton_prompt_is_regexp = True
 copybutton_line_continuation_character = "\\"
 
 html_theme = "pydata_sphinx_theme"
 html_title = project
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_theme_options = {
     "show_prev_next": True,
@@ -90,6 +100,16 @@ def _summary(line: re.Match[str]) -> str:
     return line[0]
 
 
+def _inline_formula(translator, node) -> None:
+    translator.body.append(convert(node.astext()))
+    raise nodes.SkipNode
+
+
+def _formula(translator, node) -> None:
+    translator.body.append(f'<div class="math">{convert(node.astext(), display="block")}</div>')
+    raise nodes.SkipNode
+
+
 def _generate(_sphinx) -> None:
     GENERATED.mkdir(exist_ok=True)
     title = "The command line"
@@ -104,5 +124,6 @@ def _generate(_sphinx) -> None:
 
 
 def setup(sphinx) -> None:
-    """Write what the software says about itself before anything is read."""
+    """Add the formulas; write what the software says about itself before anything is read."""
+    sphinx.add_html_math_renderer("mathml", (_inline_formula, None), (_formula, None))
     sphinx.connect("builder-inited", _generate, priority=1)
