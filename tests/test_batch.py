@@ -49,6 +49,18 @@ def table(folder, maps, **columns):
     return path
 
 
+def test_script_without_a_main_guard_is_told_what_to_do(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from optical_palpation.batch import worker_map\n"
+        "with worker_map(workers=1) as each:\n"
+        "    print(list(each(abs, [-1])))\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "if __name__ == '__main__':" in done.stderr.splitlines()[-1]
+
+
 # ------------------------------------------------------------------------------------- the table
 
 

@@ -94,7 +94,7 @@ def test_every_block_runs(page, tmp_path, monkeypatch):
         (tmp_path / "shared").mkdir()
         (tmp_path / "shared" / "data").symlink_to(DATA.resolve())
     monkeypatch.chdir(folder)
-    names = {"__name__": "__docs__"}
+    names = {"__name__": "__main__"}
     skipped = []
     for block in blocks(page):
         assert block.language, f"{block.place}: say what the block is (console, python, text, ...)"

@@ -105,7 +105,8 @@ def connected(
     Raises
     ------
     InputError
-        If Dask is not installed, or the scheduler cannot be reached.
+        If Dask is not installed, the scheduler cannot be reached, or workers do not start, as
+        where a script calls this at its top level.
     """
     try:
         import dask
@@ -146,19 +147,23 @@ def connected(
         "distributed.comm.timeouts.tcp": "600s",
         "distributed.scheduler.worker-ttl": None,
     }
-    with (
-        dask.config.set(settings),
-        distributed.LocalCluster(
-            n_workers=count,
-            threads_per_worker=1,
-            processes=True,
-            memory_limit=0,
-            dashboard_address=None,
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        yield Workers(client, memory)
+    with dask.config.set(settings):
+        try:
+            cluster = distributed.LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                processes=True,
+                memory_limit=0,
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            )
+        except RuntimeError as error:
+            raise InputError(
+                f"workers could not be started: {error} A script must call this below "
+                "if __name__ == '__main__': because each worker imports the script first"
+            ) from error
+        with cluster, distributed.Client(cluster) as client:
+            yield Workers(client, memory)
 
 
 def _workers_for(needs: Sequence[float | None], cores: int, memory: float) -> int:
