@@ -183,7 +183,7 @@ def test_missing_pixels_and_spikes_are_filled_and_reported(here, run):
     np.save("holes.npy", values)
     status, out, _ = run("stress", "holes.npy", *FRAME, *ALGEBRAIC, "--output", "o.nc")
     assert status == 0
-    assert "filled pixels: 0.90%" in out
+    assert "interpolated pixels: 0.90%" in out
     filled = read_result("o.nc").maps["filled"].values
     assert np.argwhere(filled).tolist() == [[3, 4], [8, 9]]
 

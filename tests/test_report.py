@@ -406,10 +406,10 @@ def test_readout_names_contact_missing_and_filled(page):
     at(1.05, 2.0)
     assert readout(page, "contact_state") == "stick"
     at(X[7], Y[6])
-    assert "(filled)" in readout(page, "loaded-thickness")
-    assert readout(page, "loaded-quality") == "0 (filled)"
+    assert "(interpolated)" in readout(page, "loaded-thickness")
+    assert readout(page, "loaded-quality") == "0 (interpolated)"
     at(X[20], Y[20])
-    assert "filled" not in readout(page, "loaded-thickness")
+    assert "interpolated" not in readout(page, "loaded-thickness")
     at(1e6, -1e6)  # beyond the field: its corner
     assert place(page) == (pytest.approx(X[-1]), pytest.approx(Y[0]))
     page.locator("#cursor-x").fill("")
@@ -695,7 +695,7 @@ def test_report_from_a_thickness_map_alone(show, tmp_path):
         settle(page)
         assert readout(page, "algebraic").startswith("no value")
         assert page.locator("#hatch").is_visible() == (measured is not None)
-        assert "(filled)" in readout(page, "loaded-thickness") or measured is None
+        assert "(interpolated)" in readout(page, "loaded-thickness") or measured is None
         assert "0.5 mm" in page.locator(".figures").inner_text()
         assert page.locator("#warnings").inner_text().split() == ["Warnings", "None."]
 

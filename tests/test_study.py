@@ -357,7 +357,7 @@ def test_thickness_of_a_volume_and_the_stress_of_it(here, run):
         assert status == 0
         assert "boundaries: 100%" in err
         assert (here / f"{side}.png").stat().st_size > 10_000
-    assert "filled pixels: " in out
+    assert "interpolated pixels: " in out
     loaded = read_thickness_map("loaded.nc")
     missing = np.isnan(loaded.values)
     assert missing[30:38, 2:8].all()
@@ -373,7 +373,7 @@ def test_thickness_of_a_volume_and_the_stress_of_it(here, run):
         *("--c01", "0.703", "--method", "algebraic", "--output", "stress.nc"),
     )
     assert status == 0
-    assert f"filled pixels: {missing.mean():.2%}" in out
+    assert f"interpolated pixels: {missing.mean():.2%}" in out
     assert run("run", "study.toml", "--quiet")[0] == 0
     by_study = read_result("study-results/algebraic.nc").maps
     by_hand = read_result("stress.nc").maps

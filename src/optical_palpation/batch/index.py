@@ -28,7 +28,7 @@ _COLUMNS = {
     "algebraic_mean_axial_stress_kPa": "mean, algebraic (kPa)",
     "mean_loaded_thickness_mm": "mean thickness (mm)",
     "in_contact_fraction": "in contact",
-    "filled_fraction": "filled",
+    "filled_fraction": "interpolated",
     "median_sample_youngs_modulus_kPa": "modulus of the sample, median (kPa)",
     "seconds": "time (s)",
 }

@@ -124,7 +124,7 @@ def thickness(
     measured = found["thickness"].values[~found["filled"].values]
     print(
         f"thickness: {measured.min():.4g} to {measured.max():.4g} mm, mean {measured.mean():.4g} mm"
-        f"\nfilled pixels: {found.attrs['filled_share']:.2%}"
+        f"\ninterpolated pixels: {found.attrs['filled_share']:.2%}"
         f"\nmedian quality: {float(found['quality'].median()):.2f}"
     )
     print_files(wanted)

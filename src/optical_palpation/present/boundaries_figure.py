@@ -26,7 +26,7 @@ _STYLES = ("--", ":")
 def write_boundaries_figure(found: xr.Dataset, volume: Volume, path: str | Path) -> None:
     """Draw what :func:`~optical_palpation.thickness.find_layer` found (PNG, PDF or SVG).
 
-    Maps of thickness and quality, with the filled pixels marked, and two B-scans with both
+    Maps of thickness and quality, with the interpolated pixels marked, and two B-scans with both
     boundaries: the middle one, and the one of the lowest mean quality.
 
     Raises
@@ -44,7 +44,7 @@ def _draw(figure: Figure, found: xr.Dataset, volume: Volume) -> None:
     rows["B-scan of the lowest quality"] = int(np.argmin(found["quality"].mean("x").values))
     share = float(found["filled"].mean())
     for axes, name, title in (
-        (left, "thickness", f"Thickness of the layer (mm), {share:.2%} filled"),
+        (left, "thickness", f"Thickness of the layer (mm), {share:.2%} interpolated"),
         (right, "quality", f"Quality, median {float(found['quality'].median()):.2f}"),
     ):
         if found.sizes["y"] > 1:
@@ -94,7 +94,7 @@ def _bscan(axes: Axes, line: xr.Dataset, intensity: NDArray[np.float32], volume:
         boundary = line[f"{name}_depth"].values
         axes.plot(line["x"], boundary, color=colour, lw=1.2, label=f"{name} side")
     made_up = np.where(filled, line["sample_depth"].values, np.nan)
-    axes.plot(line["x"], made_up, color=_FILLED, lw=2.5, label="filled from around")
+    axes.plot(line["x"], made_up, color=_FILLED, lw=2.5, label="interpolated")
     deepest = float(line["sample_depth"].max() + line["thickness"].mean())
     axes.set(xlabel="x (mm)", ylabel="depth (mm)", ylim=(min(depth[-1], deepest), depth[0]))
 

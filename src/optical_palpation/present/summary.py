@@ -27,7 +27,7 @@ _NOTABLE_FILLED = 0.2
 def equilibrium(attrs: Mapping[Hashable, Any]) -> str:
     """Say how near to equilibrium a result is, and what its free sides carry."""
     text = (
-        f"{attrs['status']}, forces out of balance by {attrs['force_residual']:.0e} of the contact "
+        f"{attrs['status']}, residual {attrs['force_residual']:.0e} of the contact "
         f"forces (tolerance {attrs['force_tolerance']:.0e}), smallest volume ratio "
         f"{attrs['smallest_volume_ratio']:.2f}"
     )
@@ -201,7 +201,7 @@ def summarise(result: StressResult) -> str:
 
     Total forces in mN, mean and peak axial stress in kPa by each method (the percentile beside the
     most compressed pixel tells whether that pixel stands alone), and the shares of the map that
-    are in contact and that were filled.
+    are in contact and that were interpolated.
     """
     maps = on_layer(result.maps)
     lines = []
@@ -267,11 +267,11 @@ def summarise(result: StressResult) -> str:
     if abs(change) > _NOTABLE_VOLUME_CHANGE:
         lines.append(
             f"WARNING: the volume of the layer changed by {change:.1f} %, which causes stress: "
-            "between roller edges a layer that is thinner all over has nowhere to go"
+            "between roller edges a layer that is thinner all over is laterally confined"
         )
     if "filled_share" in maps.attrs:
         lines.append(
-            f"filled pixels: {maps.attrs['filled_share']:.2%} (missing "
+            f"interpolated pixels: {maps.attrs['filled_share']:.2%} (missing "
             f"{maps.attrs['missing_share']:.2%}, spikes {maps.attrs['spike_share']:.2%})"
         )
         if maps.attrs["filled_share"] > _NOTABLE_FILLED:

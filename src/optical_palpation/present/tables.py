@@ -55,8 +55,8 @@ def table_in_words(table: xr.Dataset) -> str:
 def result_columns(result: StressResult) -> dict[str, Any]:
     """Key figures of a result as entries of a table, units in the names of the columns.
 
-    Forces, mean and extremes of the axial stress by both methods, contact, what was filled, and the
-    parameters.
+    Forces, mean and extremes of the axial stress by both methods, contact, what was interpolated,
+    and the parameters.
     """
     maps, about = on_layer(result.maps), result.maps.attrs
     row: dict[str, Any] = {}

@@ -62,7 +62,7 @@ _TERMS = {
     "loaded_thickness": Term("Loaded thickness", "mm", LENGTH, "thickness"),
     "initial_thickness": Term("Unloaded thickness", "mm", LENGTH, "thickness"),
     "thickness": Term("Thickness of the layer", "mm", LENGTH, "thickness"),
-    "filled": Term("Filled pixels", "", "flags", "flags"),
+    "filled": Term("Interpolated pixels", "", "flags", "flags"),
     "quality": Term("Quality of the boundaries", "", QUALITY, "quality"),
     "edge_influence": Term("Influence of the sides", "", ERROR, "edge_influence"),
     "axial_stress_error": Term("Error of the axial stress", "kPa", ERROR, "error"),

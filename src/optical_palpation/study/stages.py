@@ -210,8 +210,8 @@ def warnings_about(result: StressResult) -> list[str]:
     for key, which in (("filled_share", "loaded"), ("initial_filled_share", "unloaded")):
         if (share := attrs.get(key, 0.0)) > _NOTABLE_FILLED:
             said.append(
-                f"{share:.1%} of the {which} thickness could not be measured and was filled from "
-                "around: look at the boundaries before you trust the stress there"
+                f"{share:.1%} of the {which} thickness could not be measured and was interpolated: "
+                "look at the boundaries before you trust the stress there"
             )
     if (share := attrs.get("specular_share", 0.0)) > 0:
         said.append(

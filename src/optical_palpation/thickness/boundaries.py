@@ -139,8 +139,8 @@ def find_layer(
     xarray.Dataset
         On (y, x): ``window_depth``, ``sample_depth`` and ``thickness`` in mm, ``quality`` in
         [0, 1] (the lower Michelson contrast of the two boundaries, lower where a reflection
-        outshines the sample, 0 where filled), ``filled`` (True where one of the boundaries was not
-        seen, or was an outlier, and was filled from around) and ``specular`` (True where there is
+        outshines the sample, 0 where interpolated), ``filled`` (True where one of the boundaries
+        was not seen, or was an outlier, and was interpolated) and ``specular`` (True where there is
         such a reflection, which may draw the boundary to itself).
 
     Raises
@@ -319,7 +319,7 @@ class LayerFinder:
                 "sample_depth": scan.map(z0 + dz * bottom, "depth of the sample side", "mm"),
                 "thickness": scan.map(dz * (bottom - top), "thickness of the layer", "mm"),
                 "quality": scan.map(quality, "contrast of the weaker boundary", "1"),
-                "filled": scan.map(filled, "filled from around", "1"),
+                "filled": scan.map(filled, "interpolated", "1"),
                 "specular": scan.map(
                     specular.copy(), "as bright as a reflection, near or at the pixel", "1"
                 ),
@@ -362,7 +362,7 @@ def find_surface(
         {
             "depth": scan.map(scan.origin[0] + scan.spacing[0] * depth, "depth", "mm"),
             "quality": scan.map(np.where(filled, 0.0, quality), "contrast", "1"),
-            "filled": scan.map(filled, "filled from around", "1"),
+            "filled": scan.map(filled, "interpolated", "1"),
         }
     )
 

@@ -30,9 +30,9 @@ def clean_thickness(thickness: xr.DataArray) -> xr.Dataset:
     - by more than 2 % of the median thickness.
 
     A pixel inside the range of its neighbours is never a spike, so edges, ridges and steps stay.
-    Spikes and missing values are filled with the solution of Laplace's equation between the good
-    pixels (no slope across the border of the map): smooth, and never thicker or thinner than the
-    pixels around the gap.
+    Spikes and missing values are interpolated with the solution of Laplace's equation between the
+    good pixels (no slope across the border of the map): smooth, and never thicker or thinner than
+    the pixels around the gap.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def clean_thickness(thickness: xr.DataArray) -> xr.Dataset:
             "thickness": clean,
             "filled": clean.copy(data=filled)
             .drop_attrs(deep=False)
-            .assign_attrs(units="1", long_name="missing or spike, filled from the pixels around"),
+            .assign_attrs(units="1", long_name="missing or spike, interpolated"),
         },
         attrs={
             "missing_share": float(missing[inside].mean()),

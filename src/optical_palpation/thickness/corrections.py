@@ -26,7 +26,7 @@ class Anchor(NamedTuple):
 
 
 class Exclusion(NamedTuple):
-    """Rectangle in which a boundary is not looked for but filled from around, mm."""
+    """Rectangle in which a boundary is not looked for but interpolated, mm."""
 
     boundary: Boundary
     x_min: float

@@ -68,7 +68,7 @@ def map_entries(
     others: Mapping[str, StressResult],
     regions: Sequence[Region],
 ) -> dict[str, Any]:
-    """Maps, masks of filled pixels, colour scales and profiles for the page's data."""
+    """Maps, masks of interpolated pixels, colour scales and profiles for the page's data."""
     maps = on_layer(result.maps)
     stress, thickness = methods(result), thicknesses(result, loaded, unloaded)
     shown: dict[str, dict[str, Any]] = {}
@@ -322,7 +322,8 @@ def key_figures(
         figures.append((f"{state.title()} thickness, median", f"{_number(field.median())} mm"))
     for state, layer in (("unloaded", unloaded), ("loaded", loaded)):
         if layer is not None and "filled" in layer:
-            figures.append((f"Filled pixels, {state}", _percent(float(layer["filled"].mean()))))
+            fraction = float(layer["filled"].mean())
+            figures.append((f"Interpolated pixels, {state}", _percent(fraction)))
     return figures
 
 

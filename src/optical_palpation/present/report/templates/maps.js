@@ -1,4 +1,4 @@
-// Maps: colours on a canvas, hatching where pixels were filled, a colour bar and a read-out.
+// Maps: colours on a canvas, hatching where pixels are interpolated, a colour bar and a read-out.
 
 const hatching = document.getElementById("hatch");
 
@@ -51,7 +51,7 @@ class MapPlot extends Plot {
   value() {
     const value = this.grid.at(cursor.x, cursor.y);
     const name = this.scale ? shown(value, this.scale.units) : (data.states[value] ?? "no value");
-    return this.mask && this.mask.at(cursor.x, cursor.y) === 1 ? `${name} (filled)` : name;
+    return this.mask && this.mask.at(cursor.x, cursor.y) === 1 ? `${name} (interpolated)` : name;
   }
 
   spoken() {
@@ -146,7 +146,7 @@ class MapPlot extends Plot {
   }
 }
 
-// Diagonal lines in the colour of filled pixels, over a tint of it that marks single pixels, too.
+// Diagonal lines in the colour of interpolated pixels, over a tint of it that marks single pixels, too.
 function pattern(pen) {
   const size = 8;
   const tile = element("canvas", { width: size, height: size });

@@ -264,7 +264,7 @@ class Stage extends MapPlot {
     const at = this.hover ?? [cursor.x, cursor.y];
     const value = this.grid.at(...at);
     const name = this.scale ? shown(value, this.scale.units) : (data.states[value] ?? "no value");
-    const filled = this.mask && this.mask.at(...at) === 1 ? " (filled)" : "";
+    const filled = this.mask && this.mask.at(...at) === 1 ? " (interpolated)" : "";
     this.output.textContent = `x ${millimetres(at[0])}, y ${millimetres(at[1])}: ${name}${filled}`;
     if (!this.width) return;
     const parts = [...this.cross()];
