@@ -188,6 +188,8 @@ def test_options_that_cannot_be_used_leave_nothing(tmp_path):
         write_maps(result(), path, [])
     with pytest.raises(OutputError, match="ends in"):
         write_maps(result(), tmp_path / "f.gif")
+    with pytest.raises(InputError, match="legible, not 85 mm"):
+        write_panel(result(), path, width="single")
     assert not list(tmp_path.iterdir())
 
 

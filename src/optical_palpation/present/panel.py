@@ -8,14 +8,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from optical_palpation.errors import InputError
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.present.figure import Width, draw_map, figure_file, hatch_edges, letter
+from optical_palpation.present.figure import (
+    Width,
+    draw_map,
+    figure_file,
+    hatch_edges,
+    letter,
+    width_in_mm,
+)
 from optical_palpation.present.profiles import centre_profiles, on_layer
 from optical_palpation.present.terms import ALGEBRAIC, COMPUTATIONAL, common_limits, term
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+#: Width below which labels of neighbouring maps run into each other, mm.
+_NARROWEST = 170.0
 
 
 def write_panel(result: StressResult, path: str | Path, width: Width = "double") -> None:
@@ -41,9 +52,16 @@ def write_panel(result: StressResult, path: str | Path, width: Width = "double")
 
     Raises
     ------
+    InputError
+        If the width is less than 170 mm: the panel would not be legible.
     OutputError
         The file cannot be written.
     """
+    if (given := width_in_mm(width)) < _NARROWEST:
+        raise InputError(
+            f"width: a panel of all maps needs {_NARROWEST:g} mm to be legible, not {given:g} mm; for "
+            "a narrower figure choose a map (--map axial_stress, or write_maps in Python)"
+        )
     with figure_file(path, width, panel_height(result.maps), result.maps) as figure:
         draw_panel(result.maps, figure, result.pixels)
 
@@ -53,7 +71,7 @@ def panel_height(maps: xr.Dataset) -> float:
     maps = on_layer(maps)
     across = float(np.ptp(maps["x"].values)) or 1.0
     aspect = float(np.clip(np.ptp(maps["y"].values) / across, 0.5, 1.6))
-    return 34.0 + 2 * 40.0 * aspect + (17.0 + 40.0 * aspect) * _has_stiffness(maps)
+    return 41.0 + 2 * 40.0 * aspect + (17.0 + 40.0 * aspect) * _has_stiffness(maps)
 
 
 def _has_stiffness(maps: xr.Dataset) -> bool:
@@ -94,7 +112,9 @@ def draw_panel(maps: xr.Dataset, figure: Figure, pixels: xr.Dataset | None = Non
     both = zip("xy", centre_profiles(maps), centre_profiles(fine), strict=True)
     for axis, profile, measured in both:
         _plot_profile(axes[axis.upper()], axis, profile, measured, methods)
-    axes["X"].legend()
+    # below the profiles: within them it would lie on a curve or on an error band
+    handles = axes["X"].get_legend_handles_labels()
+    figure.legend(*handles, loc="outside lower center", ncols=len(handles[0]))
     letter([axes[place] for place in dict.fromkeys("".join(rows))])
 
 
