@@ -79,6 +79,23 @@ def test_reference_has_every_public_name_and_every_command(site):
             if (callable(thing) or isinstance(thing, type)) and getattr(thing, "__doc__", None):
                 home = {place for place in places if place.split(".")[-1] == name}
                 assert home, f"{module.__name__}.{name} is not in the reference"
+    table = (site / "api" / "index.html").read_text()
+    for name in op.__all__:
+        assert name == "__version__" or re.search(rf'href="[^"]*\.{name}"', table), name
     page = (site / "_generated" / "command-line.html").read_text()
     for command in app.registered_commands:
         assert f'id="optical-palpation-{command.callback.__name__}"' in page
+
+
+def test_site_needs_no_network(site):
+    for page in site.glob("**/*.html"):
+        assert not re.search(
+            r'<(?:script|link|img)[^>]*\s(?:src|href)="(?:https?:)?//', page.read_text()
+        )
+    assert (site / "theory.html").read_text().count("<math") > 10
+
+
+def test_options_keep_their_dashes(site):
+    page = (site / "_generated" / "command-line.html").read_text()
+    assert "with --tile" in page
+    assert "\N{EN DASH}" not in page

@@ -2,7 +2,7 @@
 Where the layer ends
 ====================
 
-``free`` edges take the field of view for the whole layer; ``padded`` edges let it go on for three
+``free`` edges take the field of view for the whole layer; ``padded`` edges continue it for three
 thicknesses. The pressure of an incompressible layer grows with the distance from its free sides,
 so this changes the whole map and not its border alone.
 """
@@ -26,6 +26,6 @@ limits = (float(min(r.maps["axial_stress"].min() for r in results.values())), 0)
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
 for ax, (edges, result) in zip(axes, results.items(), strict=True):
     result.plot(ax=ax, limits=limits)
-    force = result.maps.attrs["window_force_mN"]
-    ax.set_title(f"{edges}: {force:.0f} mN", loc="left")
+    mean = float(result.maps["axial_stress"].mean())
+    ax.set_title(f"{edges}: {mean:.1f} kPa on average", loc="left")
 figure.show()

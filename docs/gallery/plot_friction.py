@@ -22,7 +22,9 @@ study = op.Study(
 sweep = op.sweep(study, {"friction.window": [0.05, 0.1, 0.15, 0.2, 0.3]})
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
-sweep["axial_stress"].interp(y=2).plot.line(ax=left, x="x")
+for friction, row in sweep["axial_stress"].interp(y=2).groupby("friction_window"):
+    left.plot(row["x"], row.squeeze(), label=f"{friction:g}")
+left.legend(title="friction", loc="center left", bbox_to_anchor=(1, 0.5))
 left.set(xlabel="x (mm)", ylabel="axial stress (kPa)", title="along y = 2 mm")
 sweep["window_force"].plot.line("o-", ax=right)
 right.set(xlabel="friction at the window", ylabel="force (mN)", title="total force", ylim=(0, None))

@@ -3,7 +3,8 @@ Regions of interest
 ===================
 
 Mean stress, force and contrast in regions, which may also come from ImageJ, napari or a table. A
-pixel on the border counts by the fraction of it that lies inside.
+pixel on the border counts by the fraction of it that lies inside. Stress is in kPa, force in mN,
+area in mm².
 """
 
 import matplotlib.pyplot as plt

@@ -36,5 +36,5 @@ for maps, name, label in (
     row = maps[name].interp(y=2)
     axes.plot(row["x"], row, label=label)
 axes.set(xlabel="x (mm)", ylabel="axial stress (kPa)")
-axes.legend()
+axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
 figure.show()

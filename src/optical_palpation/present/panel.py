@@ -59,8 +59,8 @@ def write_panel(result: StressResult, path: str | Path, width: Width = "double")
     """
     if (given := width_in_mm(width)) < _NARROWEST:
         raise InputError(
-            f"width: a panel of all maps needs {_NARROWEST:g} mm to be legible, not {given:g} mm; for "
-            "a narrower figure choose a map (--map axial_stress, or write_maps in Python)"
+            f"width: a panel of all maps needs {_NARROWEST:g} mm to be legible, not {given:g} mm; "
+            "for a narrower figure choose a map (--map axial_stress, or write_maps in Python)"
         )
     with figure_file(path, width, panel_height(result.maps), result.maps) as figure:
         draw_panel(result.maps, figure, result.pixels)
