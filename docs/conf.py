@@ -50,7 +50,7 @@ autosummary_generate = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings say it, with units
 autodoc_class_signature = "separated"
-autodoc_default_options = {"exclude-members": "__init__, __new__"}
+autodoc_default_options = {"exclude-members": "__init__, __new__, model_config"}
 numpydoc_show_class_members = False
 
 sphinx_gallery_conf = {

@@ -34,7 +34,8 @@ QUANTITIES = (
 )
 #: Rows of the second table, by the name of the scan on the page.
 CHOICES = {
-    "edges-padded": "the layer is taken to go on beyond the field (`padded`), and ends there",
+    "edges-padded": "the layer is taken to go on beyond the field (`padded`), and ends there: "
+    "force of the continued layer",
     "extent-too-small": "the extent of the layer is 0.1 mm too small on each side",
     "sample-frictionless": "friction at the sample is left out",
     "compressible": "K/mu of 20, as in published code, instead of 1e4",

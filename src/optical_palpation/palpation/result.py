@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class ContactState(IntEnum):
-    """State of a surface point in the ``contact_state`` maps."""
+    """State of a surface point in the ``contact_state`` maps: 0 open, 1 slip, 2 stick, 3 glued."""
 
     OPEN = 0
     SLIP = 1

@@ -55,13 +55,13 @@ def material(setting: Setting) -> Part:
     fits, raw = [], []
     for number in (1, 2, 3):
         test = read_uniaxial_test(folder / f"jones_SmoothOn45_11_S1T{number}.csv")
-        raw.append(fit_uniaxial(test, "neo-hookean").initial_youngs_modulus)
+        raw.append(fit_uniaxial(test).initial_youngs_modulus)
         fits.append(_corrected(test)[0])
     moduli = [fit.initial_youngs_modulus for fit in fits]
     part.rows.append(
         Row(
             "Jones et al., SmoothOn45",
-            "initial Young's modulus of one sample tested three times, kPa",
+            "initial Young's modulus of one sample tested three times, Mooney-Rivlin, kPa",
             "one value",
             ", ".join(f"{m:.1f}" for m in moduli),
             f"spread {np.ptp(moduli) / np.mean(moduli):.1%} after the contact was found; as "

@@ -36,7 +36,7 @@ computing times: within 1 %, or a point of a percentage; the exit status is 5 if
 
 Units: mm, kPa, mN; stress negative where the layer is pressed, contact pressure positive.
 """,
-    columns=("where", "what", "there", "here", "why"),
+    columns=("source", "quantity", "published", "ours", "remarks"),
     chapters={
         "material": Chapter("The layer's material", material),
         "friction": Chapter("Friction from displacement profiles", friction),
