@@ -7,7 +7,7 @@ import pytest
 
 from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.palpation import algebraic_result
+from optical_palpation.palpation import InputErrors, algebraic_result
 from optical_palpation.present import summarise
 from optical_palpation.study import (
     compute,
@@ -69,6 +69,12 @@ SPACED = "spacing = { z = 0.0029, y = 0.03, x = 0.03 }"
         ("[0.2, 0.2, 0.1]", "[0.2, 0.2, 0.7]", ["element size along z, 0.7 mm", "depth"]),
         ("[0.2, 0.2, 0.1]", "125", ["element size", "in mm"]),
         ("threads = 1", "imprint_smoothing = 62.5", ["imprint_smoothing = 62.5", "in mm"]),
+        (
+            "sample = 0.05",
+            "sample = 0.05\nslip_length = 1.0",
+            ["friction.slip_length = 1", "in mm"],
+        ),
+        ("[grid]", "[errors]\nthickness = 2.0\n[grid]", ["error of thickness: 2 mm", "in um"]),
         ('volume = "unloaded.npy"', "thickness = 420.0", ["unloaded.thickness", "420"]),
         ('volume = "unloaded.npy"', "thickness = 1.5", ["more than the depth of the loaded"]),
         ("[volumes]", "[volumes]\nsample_range = [300, 400]", ["sample_range", "outside"]),
@@ -100,6 +106,18 @@ def test_a_study_of_maps(here, old, new, words):
         run_study(study)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"), [("modulus", 5.0), ("window_friction", 5.0), ("thickness", 2.0)]
+)
+def test_errors_of_inputs_in_another_unit(here, key, value):
+    """5 % is 0.05, and 2 um are 0.002 mm; whatever they were, all bands would be too wide."""
+    make_study(here, MAPS + f"[errors]\n{key} = {value}\n")
+    with pytest.raises(InputError, match=f"errors.*{key}"):
+        run_study(read_study("study.toml"))
+    with pytest.raises(InputError, match=f"error of {key}"):
+        InputErrors(**{key: value}).check_thickness(0.5)
+
+
 def test_the_good_studies_get_as_far_as_the_work(here):
     for text in (STUDY, MAPS):
         with pytest.raises(AssertionError, match="as far as the work"):
@@ -123,10 +141,12 @@ def test_what_is_only_unusual_is_said():
     loaded = thickness_map(np.full((5, 5), 0.49), pixel_spacing=(0.2, 0.2))
     usual = algebraic_result(loaded, 0.5, MooneyRivlin(2.23, 0.703))
     stiff = algebraic_result(loaded, 0.5, MooneyRivlin(600.0))
+    soft = MooneyRivlin(2.23e-3, 0.703e-3)  # in MPa
     thick = thickness_map(np.full((5, 5), 0.49), pixel_spacing=(0.05, 0.05))
     for result, words in (
         (usual, None),
         (stiff, "as stiff as hard rubber"),
+        (algebraic_result(loaded, 0.5, soft), "Young's modulus 17.6 Pa"),
         (algebraic_result(thick, 0.5, MooneyRivlin(2.23)), "thicker"),
     ):
         said = json.loads(result.maps.attrs["unusual"])

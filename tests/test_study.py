@@ -142,6 +142,8 @@ def test_the_record_tells_inputs_versions_and_parameters(finished):
         data = (finished / f"{side}.npy").read_bytes()
         assert record["inputs"][side]["sha256"] == hashlib.sha256(data).hexdigest()
     assert record["parameters"]["grid"]["edges"] == "free"  # defaults, too
+    assert "sample" not in record["parameters"]  # but not of what is not in the model
+    assert "c30" not in record["parameters"]["material"]
     assert {"optical-palpation", "numpy", "numba", "python"} <= set(record["versions"])
     for name, stage in record["stages"].items():
         data = (finished / "study-results" / name).read_bytes()

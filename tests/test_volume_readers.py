@@ -93,15 +93,15 @@ def test_format_is_found_by_content_not_by_ending(tmp_path: Path) -> None:
 def test_missing_spacing_is_asked_for(name: str, tmp_path: Path) -> None:
     path, given_facts = samples.WRITERS[name](tmp_path, samples.volume())
     facts = {k: v for k, v in given_facts.items() if k != "spacing"}
-    with pytest.raises(InputError, match=r"does not say: .*spacing= \(mm along z, y, x\)"):
+    with pytest.raises(InputError, match=r"does not say: .*spacing \(mm along z, y, x\)"):
         open_volume(path, **facts)
 
 
 def test_all_missing_facts_are_named_at_once(tmp_path: Path) -> None:
     path, _ = samples.WRITERS["npy"](tmp_path, samples.volume())
-    with pytest.raises(InputError, match=r"axes=.*spacing=.*scale="):
+    with pytest.raises(InputError, match=r"axes \(.*spacing \(.*scale \("):
         open_volume(path)
-    with pytest.raises(InputError, match=r"spacing= \(mm along z\)"):
+    with pytest.raises(InputError, match=r"spacing \(mm along z\)"):
         open_volume(path, axes="zyx", spacing={"y": 1, "x": 1}, scale="dB")
 
 
@@ -114,13 +114,13 @@ def test_plain_resolution_tags_are_not_trusted(tmp_path: Path) -> None:
         resolution=(72, 72),
         resolutionunit=2,
     )
-    with pytest.raises(InputError, match="spacing="):
+    with pytest.raises(InputError, match=r"spacing \("):
         open_volume(path, scale="linear")
 
 
 def test_refractive_index_turns_optical_into_physical_depth(tmp_path: Path) -> None:
     path = samples.thorlabs(tmp_path / "a.oct", samples.volume())
-    with pytest.raises(InputError, match="refractive_index="):
+    with pytest.raises(InputError, match=r"refractive_index \("):
         open_volume(path)
     with open_volume(path, refractive_index=1.4) as volume:
         assert volume.metadata.spacing == pytest.approx((0.0035 / 1.4, 0.02, 0.01))
@@ -170,7 +170,7 @@ def test_thorlabs_unscanned_axis_needs_a_spacing(tmp_path: Path) -> None:
     path = samples.thorlabs(
         tmp_path / "a.oct", data, xml=samples.header_xml(data.shape, reach={"Y": 0})
     )
-    with pytest.raises(InputError, match=r"spacing= \(mm along y\)"):
+    with pytest.raises(InputError, match=r"spacing \(mm along y\)"):
         open_volume(path, refractive_index=1.0)
 
 

@@ -19,6 +19,8 @@ HARDEST_LAYER = 2e4
 #: ... and PDMS as it is sold for soft lithography (Sylgard 184, 10 : 1) has up to 3 MPa: a layer
 #: stiffer than that is no compliant one.
 STIFF_LAYER = 3e3
+#: The softest gels that keep their shape, as polyacrylamide of 3 %, have 0.1 kPa.
+SOFT_LAYER = 0.1
 #: Mean stress, kPa: ten atmospheres. It presses on a field of 5 x 5 mm with the weight of 2.5 kg;
 #: soft tissue is destroyed by a tenth of it.
 LARGEST_MEAN_STRESS = 1e3
@@ -139,6 +141,11 @@ def unusual(law: Law, maps: xr.Dataset) -> list[str]:
         said.append(
             f"the layer is as stiff as hard rubber (Young's modulus {modulus / 1e3:.3g} MPa): are "
             "its coefficients in kPa?"
+        )
+    if modulus < SOFT_LAYER:
+        said.append(
+            f"the layer is softer than gels that keep their shape (Young's modulus "
+            f"{1e3 * modulus:.3g} Pa): are its coefficients in kPa?"
         )
     thickness = maps.attrs["initial_thickness_mm"]
     width = min(float(np.ptp(maps[axis].values)) for axis in "yx")

@@ -254,10 +254,23 @@ def file_state(path: Path) -> list[tuple[str, int, int, int]] | None:
 
 
 def parameters(study: Study) -> dict[str, Any]:
-    """Return all parameters with their defaults; those of both volumes stand with each of them."""
+    """Return all parameters with their defaults; those of both volumes stand with each of them.
+
+    What has no meaning in this study is left out: defaults of a sample that is not in the model,
+    and coefficients that the law of the layer does not have.
+    """
     given = study.model_dump(mode="json", exclude_none=True, exclude={"volumes"})
     for name in unused_errors(study):
         del given["errors"][name]
+    if not study.sample.modelled:
+        del given["sample"]
+        if study.sample.motion is not None:
+            given["sample"] = {"motion": study.sample.motion}
+    given["material"] = {
+        name: value
+        for name, value in given["material"].items()
+        if value != 0 or name in study.material.model_fields_set
+    }
     return given
 
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from optical_palpation.errors import InputError, MaterialError
+from optical_palpation.palpation import InputErrors
+from optical_palpation.palpation.meshing import SLIP_LENGTHS
 from optical_palpation.palpation.plausibility import (
     check_depth,
     check_elements,
@@ -73,6 +75,16 @@ def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
             check_elements(study.grid.element_size, (x1 - x0, y1 - y0), depth, what)
         except InputError as error:
             raise InputError(f"{where}, [grid]: {error}") from error
+    try:
+        InputErrors(**study.errors.model_dump()).check_thickness(depth)
+    except InputError as error:
+        raise InputError(f"{where}, [errors]: {error}") from error
+    slip, longest = study.friction.slip_length, SLIP_LENGTHS[1] * depth
+    if slip is not None and slip > longest:
+        raise InputError(
+            f"{where}: friction.slip_length = {slip:g} mm is more than {SLIP_LENGTHS[1]:g} of "
+            f"{what}, {longest:g} mm, above which it is no friction any more (it is in mm)"
+        )
     if study.sample.modelled:
         _check_sample(study)
     smoothing, widest = study.grid.imprint_smoothing, 0.25 * min(x1 - x0, y1 - y0)

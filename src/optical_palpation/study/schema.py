@@ -30,7 +30,8 @@ Range = Annotated[tuple[float, float], Strict(False)]
 Three = Annotated[tuple[Positive, Positive, Positive], Strict(False)]
 Extent = Annotated[tuple[float, float, float, float], Strict(False)]
 Output = Literal["panel", "vtk", "profiles", "report"]
-Hold = Annotated[float, Field(ge=0, le=2)] | Literal["glued"]
+Coefficient = Annotated[float, Field(ge=0, le=2)]
+Hold = Coefficient | Literal["glued"]
 
 
 class Table(BaseModel):
@@ -184,7 +185,7 @@ class Sample(Table):
     thickness: Positive | None = None
     compression: Positive | None = None
     total_force: Positive | None = None
-    plate_friction: Annotated[float, Field(ge=0, le=2)] | None = None
+    plate_friction: Coefficient | None = None
     relief: Text | None = None
     size: Pair | None = None
     law: SampleLaw = "neo-hookean"
@@ -238,12 +239,12 @@ class Errors(Table):
     model.
     """
 
-    window_friction: Annotated[float, Field(ge=0)] = INPUT_ERRORS.window_friction
-    sample_friction: Annotated[float, Field(ge=0)] = INPUT_ERRORS.sample_friction
-    modulus: Annotated[float, Field(ge=0)] = INPUT_ERRORS.modulus
+    window_friction: Coefficient = INPUT_ERRORS.window_friction
+    sample_friction: Coefficient = INPUT_ERRORS.sample_friction
+    modulus: Fraction = INPUT_ERRORS.modulus
     thickness: Annotated[float, Field(ge=0)] = INPUT_ERRORS.thickness
     initial_thickness: Annotated[float, Field(ge=0)] = INPUT_ERRORS.initial_thickness
-    plate_friction: Annotated[float, Field(ge=0)] = INPUT_ERRORS.plate_friction
+    plate_friction: Coefficient = INPUT_ERRORS.plate_friction
     compression: Fraction = INPUT_ERRORS.compression
     sample_thickness: Fraction = INPUT_ERRORS.sample_thickness
     total_force: Fraction = INPUT_ERRORS.total_force

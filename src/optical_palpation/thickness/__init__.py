@@ -2,7 +2,13 @@
 
 from optical_palpation.thickness.boundaries import LayerFinder, find_layer, find_surface
 from optical_palpation.thickness.cleaning import clean_thickness
-from optical_palpation.thickness.corrections import Corrections, read_corrections, write_corrections
+from optical_palpation.thickness.corrections import (
+    Anchor,
+    Corrections,
+    Exclusion,
+    read_corrections,
+    write_corrections,
+)
 from optical_palpation.thickness.frames import thickness_map
 from optical_palpation.thickness.initial import match_initial_thickness
 from optical_palpation.thickness.maps import (
@@ -13,7 +19,9 @@ from optical_palpation.thickness.maps import (
 from optical_palpation.thickness.registration import lateral_shift, shift_map
 
 __all__ = [
+    "Anchor",
     "Corrections",
+    "Exclusion",
     "LayerFinder",
     "clean_thickness",
     "find_layer",

@@ -147,7 +147,7 @@ def settle(
     missing: list[str] = []
     order = axes if axes is not None else stated.axes
     if order is None:
-        missing.append(f"axes= (order of the {len(shape)} axes {shape}, e.g. 'zyx' or 'yzx')")
+        missing.append(f"axes (order of the {len(shape)} axes {shape}, such as 'zyx' or 'yzx')")
     else:
         order = _check_axes(order, shape, path)
 
@@ -168,25 +168,25 @@ def settle(
     starts |= _by_axis(origin, "origin")
     needed = "zyx" if order is None or "y" in order else "zx"
     if absent := [a for a in needed if a not in steps]:
-        missing.append(f"spacing= (mm along {', '.join(absent)})")
+        missing.append(f"spacing (mm along {', '.join(absent)})")
 
-    final_scale = _scale(scale, "scale=") or stated.scale
+    final_scale = _scale(scale, str(path)) or stated.scale
     if dtype.lstrip("<>=|").startswith("c"):
         final_scale = final_scale or "linear"
         if final_scale == "dB":
-            raise InputError(f"{path}: complex samples cannot be in dB; use scale='linear'")
+            raise InputError(f"{path}: complex samples cannot be in dB: their scale is 'linear'")
     if final_scale is None:
-        missing.append("scale= ('linear' or 'dB')")
+        missing.append("scale ('linear' or 'dB')")
 
     index = refractive_index if refractive_index is not None else stated.refractive_index
     depth_given = spacing is not None and "z" in spacing
     if index is None and stated.optical_depth and not depth_given:
         missing.append(
-            "refractive_index= (the file stores optical path length; 1.0 keeps it undivided)"
+            "refractive_index (the file stores optical path length; 1.0 keeps it undivided)"
         )
     if missing or order is None or final_scale is None:
         raise InputError(
-            f"{path} ({fmt}) does not say: {'; '.join(missing)}. Give them to open_volume."
+            f"{path} ({fmt}) does not say: {'; '.join(missing)}. Give what it does not say."
         )
     if index is not None and not 1.0 <= index <= 4.0:
         raise InputError(f"{path}: refractive index {index!r} is not between 1 and 4")
