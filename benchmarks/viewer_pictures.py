@@ -2,11 +2,15 @@
 
     python benchmarks/viewer_pictures.py docs/viewer
 
+The last picture is of a soft sample and its stiffness, from the thickness map of a virtual
+experiment: two columns, of which one is three times as stiff as the layer.
+
 Needs the extra `viewer` and a screen with OpenGL; `xvfb-run -a -s "-screen 0 1600x1000x24"` before
 the command gives it a virtual one. The volumes are those of `optical-palpation sample relief`, with
 a piece of debris put into the layer, which the boundary follows until it is corrected.
 """
 
+import subprocess
 import sys
 import tempfile
 import time
@@ -224,8 +228,45 @@ def tour(output, folder):
     pump()
 
 
+def soft_sample(output, folder):
+    """Make the picture of a soft sample: its Young's modulus, and that of two regions."""
+    command = [sys.executable, "-m", "optical_palpation", "experiment", "soft_stiff_columns"]
+    command += ["--element-size", "0.25", "--output", str(folder)]
+    subprocess.run(command, check=True)
+    study = folder / "study.toml"
+    study.write_text(
+        "[unloaded]\nthickness = 0.5\n"
+        '[loaded]\nmap = "experiment.nc"\nvariable = "loaded_thickness"\n'
+        "[material]\nc10 = 2.23\nc01 = 0.703\n"
+        "[friction]\nwindow = 0.3\nsample = 0.1\n"
+        "[sample]\nthickness = 2.0\ncompression = 0.5\nplate_friction = 0.3\n"
+        "[grid]\nelement_size = 0.2\n"
+    )
+    t = Tour(output)
+    t.panel.open_study(str(study))
+    t.panel.solving.solve()
+    t.idle()
+    t.panel.bench.view_maps(["Young's modulus of the sample (kPa)"])
+    t.panel.regions.variable.setCurrentText("Young's modulus of the sample (kPa)")
+    layer = next(t.panel.bench.layers("regions"))
+    for number, (name, corner) in enumerate({"soft": (2.0, 0.9), "stiff": (2.0, 3.2)}.items()):
+        t.panel.regions.draw()
+        drag(t.viewer, corner, [c + 1.0 for c in corner])
+        layer.selected_data = {number}
+        t.panel.regions.name.setCurrentText(name)
+        t.panel.regions.name_selected()
+    layer.selected_data = set()
+    layer.mode = "pan_zoom"
+    wait(lambda: t.panel.regions.table.rowCount() == 2)
+    t.show(t.panel.regions)
+    t.picture("stiffness")
+    t.viewer.close()
+    pump()
+
+
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit("give the folder for the pictures, docs/viewer")
     with tempfile.TemporaryDirectory() as scratch:
-        tour(sys.argv[1], Path(scratch))
+        tour(sys.argv[1], Path(scratch) / "relief")
+        soft_sample(sys.argv[1], Path(scratch) / "columns")

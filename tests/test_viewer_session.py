@@ -273,7 +273,7 @@ def test_what_is_missing_is_named(study_file, tmp_path):
     with pytest.raises(InputError, match="no volume"):
         session.find("loaded")
     session.change({"loaded": {"volume": str(study_file.parent / "loaded.npy")}})
-    with pytest.raises(InputError, match="axes="):
+    with pytest.raises(InputError, match=r"axes \("):
         session.find("loaded")
     with pytest.raises(InputError, match="material: is missing"):
         session.solve()

@@ -51,15 +51,14 @@ class Correction(QGroupBox):
         side = self.side.currentText()
         if self._ready(side):
             self._bench.view_bscans(side)
-            layer = next(self._bench.layers("anchors", side))
-            self._begin(layer, "add")
+            self._begin(self._layer("anchors", side), "add")
 
     def exclude(self) -> None:
         """Let the mouse draw excluded rectangles on the maps."""
         side = self.side.currentText()
         if self._ready(side):
             self._bench.view_maps([f"{side}: Thickness of the layer (mm)"])
-            self._begin(next(self._bench.layers("excluded", side)), "add_rectangle")
+            self._begin(self._layer("excluded", side), "add_rectangle")
 
     def drawn(self, side: str) -> Corrections:
         """Corrections as they are drawn now.
@@ -69,8 +68,7 @@ class Correction(QGroupBox):
         InputError
             If one lies outside of the volume.
         """
-        anchors = next(self._bench.layers("anchors", side))
-        excluded = next(self._bench.layers("excluded", side))
+        anchors, excluded = (self._layer(kind, side) for kind in ("anchors", "excluded"))
         return corrections_from(
             anchors.data,
             list(anchors.features["boundary"]),
@@ -146,6 +144,23 @@ class Correction(QGroupBox):
             return False
         return True
 
+    def _layer(self, kind: str, side: str) -> Any:
+        """The layer to draw on; a new one where it was removed in napari.
+
+        Raises
+        ------
+        InputError
+            If the layer has not been found in the volume yet.
+        """
+        bench = self._bench
+        if not list(bench.layers(kind, side)):
+            none, frame = Corrections(), bench.session.frame(side)
+            anchors = kind == "anchors"
+            bench.show(
+                [anchor_layer(none, frame, side) if anchors else exclusion_layer(none, side)]
+            )
+        return next(bench.layers(kind, side))
+
     def _show(self, side: str) -> None:
         """Make the layers to draw on, once the layer has been found."""
         if not list(self._bench.layers("anchors", side)):
@@ -178,5 +193,5 @@ class Correction(QGroupBox):
         if path:
             try:
                 call(path)
-            except (OpticalPalpationError, StopIteration) as error:
-                self._bench.said.emit(str(error) or "find the layer first")
+            except OpticalPalpationError as error:
+                self._bench.said.emit(str(error))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from pathlib import Path
 from typing import Any
 
 from qtpy.QtWidgets import (
@@ -55,9 +56,9 @@ class Measurement(QGroupBox):
             self.how[key].setPlaceholderText(example)
             self.how[key].setToolTip(f"{meaning}; only where the file does not say")
             fields.addRow(key.replace("_", " "), self.how[key])
-        folded = QCollapsible("What the file does not say")
-        folded.addWidget(unsaid)
-        form.addRow(folded)
+        self.folded = QCollapsible("What the file does not say")
+        self.folded.addWidget(unsaid)
+        form.addRow(self.folded)
         self.choice = {side: QComboBox() for side in SIDES}
         self.thickness = Number(0.0, 100.0, (0.0, 2.0), "mm", 4)
         form.addRow("loaded", self.choice["loaded"])
@@ -83,12 +84,15 @@ class Measurement(QGroupBox):
         bscans.setToolTip("show the B-scans of the volume, with the boundaries")
         maps.setToolTip("show the maps, seen along the light")
         bscans.clicked.connect(lambda: bench.view_bscans(self.side.currentText()))
-        maps.clicked.connect(lambda: bench.view_maps())
+        maps.clicked.connect(
+            lambda: bench.view_maps(first=f"{self.side.currentText()}: Thickness of the layer (mm)")
+        )
         for part in (self.side, bscans, maps):
             row.addWidget(part)
         form.addRow(self.find_button)
         form.addRow("show", row)
         bench.opened.connect(self._show)
+        self.choice["unloaded"].currentIndexChanged.connect(lambda _: self._enable())
         for event in ("inserted", "removed"):
             getattr(bench.viewer.layers.events, event).connect(lambda _: self._list())
         self._list()
@@ -103,7 +107,9 @@ class Measurement(QGroupBox):
         """
         how = self._given()
         volume = open_volume(path, **how)
-        self._bench.show([volume_layer(volume, path, how)])
+        (shown,) = self._bench.show([volume_layer(volume, path, how)])
+        self._bench.view_volume(shown)
+        self._bench.said.emit(f"opened {Path(path).name}")
 
     def apply(self) -> None:
         """Put what is chosen into the study.
@@ -176,6 +182,7 @@ class Measurement(QGroupBox):
                 self.open(path)
             except InputError as error:
                 self._bench.said.emit(str(error))
+                self.folded.expand()
 
     def _list(self) -> None:
         """Offer the volumes that napari shows; keep what was chosen."""
@@ -183,6 +190,8 @@ class Measurement(QGroupBox):
         for side, box in self.choice.items():
             given = self._bench.session.input(side)
             chosen = box.currentData() or ({"volume": given["volume"]} if "volume" in given else "")
+            if chosen == _NUMBER and self.thickness.value() is None:
+                chosen = ""  # there was nothing else to choose
             file = chosen.get("volume") if isinstance(chosen, dict) else None
             box.blockSignals(True)
             box.clear()
@@ -199,8 +208,14 @@ class Measurement(QGroupBox):
                 if entry == chosen or (isinstance(entry, dict) and entry["volume"] == file)
             ]
             same += [k for k in range(box.count()) if _named(side, box.itemText(k))]
-            box.setCurrentIndex(same[0] if same else 0)
+            # A volume that is not called so is not taken for the unloaded one.
+            box.setCurrentIndex(same[0] if same else max(box.findData(_NUMBER), 0))
             box.blockSignals(False)
+        self._enable()
+
+    def _enable(self) -> None:
+        """Let a thickness be typed where it counts."""
+        self.thickness.setEnabled(self.choice["unloaded"].currentData() == _NUMBER)
 
     def _show(self) -> None:
         """Show what another study says."""

@@ -47,7 +47,7 @@ class Number(QWidget):
         step = 10.0**-decimals
         self._absent = low - step  # one step below all that is allowed: nothing yet
         self._box.setRange(self._absent, high)
-        self._box.setSpecialValueText(_ABSENT)
+        self._box.setSpecialValueText(f"{_ABSENT} {unit}".rstrip())
         self._box.setSingleStep(max(step, (reach[1] - reach[0]) / 100))
         self._box.setSuffix(f" {unit}" if unit else "")
         self._box.setKeyboardTracking(False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import (
     QAbstractItemView,
@@ -19,7 +20,7 @@ from qtpy.QtWidgets import (
 from optical_palpation.analysis import Region, read_regions, region_statistics, write_regions
 from optical_palpation.errors import InputError, OpticalPalpationError
 from optical_palpation.present.tables import write_table
-from optical_palpation.present.terms import is_map, term
+from optical_palpation.present.terms import is_map, rounded, term
 from optical_palpation.viewer.buttons import button_row
 from optical_palpation.viewer.layers import region_layer, regions_from
 from optical_palpation.viewer.workbench import Workbench
@@ -141,9 +142,7 @@ class Regions(QGroupBox):
         self.table.setVerticalHeaderLabels([str(name) for name in found["region"].values])
         for row in range(found.sizes["region"]):
             for column, name in enumerate(columns):
-                value = float(found[name][row])
-                text = f"{value:.4g}" if np.isfinite(value) else ""
-                self.table.setItem(row, column, QTableWidgetItem(text))
+                self.table.setItem(row, column, QTableWidgetItem(_cell(found, name, row)))
         self.table.resizeColumnsToContents()
 
     def load(self, path: str) -> None:
@@ -233,3 +232,14 @@ class Regions(QGroupBox):
                 call(str(Path(path)))  # type: ignore[operator]
             except OpticalPalpationError as error:
                 self._bench.said.emit(str(error))
+
+
+def _cell(found: xr.Dataset, name: str, row: int) -> str:
+    """A number to the digits that its error leaves; an error to two."""
+    value = float(found[name][row])
+    if not np.isfinite(value):
+        return ""
+    if name.endswith("_error"):
+        return rounded(value, digits=2)
+    error = found.get(f"{name}_error")
+    return rounded(value, None if error is None else error[row]).partition(" ")[0]

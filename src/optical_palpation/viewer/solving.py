@@ -19,7 +19,7 @@ from qtpy.QtWidgets import (
 
 from optical_palpation.errors import OpticalPalpationError
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.present.summary import force_error, mean_stress_error
+from optical_palpation.present.summary import force_error, mean_stress_error, of_mesh_alone
 from optical_palpation.present.terms import rounded, term
 from optical_palpation.study import warnings_about
 from optical_palpation.viewer.layers import map_layers, region_layer
@@ -225,5 +225,6 @@ def _in_words(result: StressResult) -> str:
     force = rounded(maps.attrs["sample_force_mN"], force_error(maps.attrs))
     error = mean_stress_error(maps)
     points = f"{stress.sizes['y']} x {stress.sizes['x']} points"
-    figures = f"force {force} mN, mean axial stress {rounded(stress.mean(), error)} kPa, {points}"
+    figures = f"force {force} mN, mean axial stress {rounded(stress.mean(), error)} kPa"
+    figures += f"{' (± by the mesh alone)' * of_mesh_alone(maps.attrs)}, {points}"
     return "\n".join([figures, *(f"Warning: {text}" for text in warnings_about(result))])

@@ -92,10 +92,14 @@ class Workbench(QObject):
         if volume is None:
             self.said.emit(f"the {side} layer is no volume: there are no B-scans")
             return
+        self.view_volume(volume, side)
+
+    def view_volume(self, volume: NapariLayer, side: str | None = None) -> None:
+        """Show the B-scans of a volume, with what was found in it if it is that of a side."""
         dims = self.viewer.dims
         for layer in self.viewer.layers:
             about = layer.metadata.get(KEY, {})
-            of_side = about.get("side") == side or layer is volume
+            of_side = (side is not None and about.get("side") == side) or layer is volume
             layer.visible = about.get("kind") in _IN_VOLUMES and of_side
         dims.ndisplay = 2
         dims.order = (1, 0, 2)
@@ -104,8 +108,11 @@ class Workbench(QObject):
         self.viewer.canvas.overlays.scale_bar.visible = True
         self.viewer.reset_view()
 
-    def view_maps(self, names: Sequence[str] = ()) -> None:
-        """Show the maps en face; of these, the ones that are named alone, if any are."""
+    def view_maps(self, names: Sequence[str] = (), first: str = "") -> None:
+        """Show the maps en face; of these, the ones that are named alone, if any are.
+
+        Where none was shown before, the stress is, or the one that is to come first.
+        """
         for layer in self.viewer.layers:
             kind = layer.metadata.get(KEY, {}).get("kind")
             if kind in _IN_VOLUMES:
@@ -116,7 +123,8 @@ class Workbench(QObject):
                 layer.visible = True
         maps = [layer for layer in self.layers("map")]
         if maps and not any(layer.visible for layer in maps):
-            maps[-1].visible = True
+            there = [layer for layer in maps if layer.name == first and self.result is None]
+            (there or maps)[-1].visible = True
         dims = self.viewer.dims
         dims.ndisplay = 2
         dims.order = tuple(range(dims.ndim))
