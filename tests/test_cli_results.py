@@ -80,8 +80,8 @@ def test_regions_of_a_result(here, run):
     assert (status, err) == (0, "")
     maps = read_result("a.nc").maps
     expected = region_statistics(maps, read_regions("bump.roi", maps)).isel(region=0)
-    assert f"mean {float(expected['mean']):.4g} kPa" in out
-    assert f"force {float(expected['force']):.4g} mN" in out
+    assert f"mean {float(expected['mean']):.3g} kPa" in out
+    assert f"force {float(expected['force']):.3g} mN" in out
     rows = [r for r in (here / "table.csv").read_text().splitlines() if not r.startswith("#")]
     row = dict(zip(rows[0].split(","), rows[1].split(","), strict=True))
     assert row["region"] == "bump"
@@ -101,6 +101,26 @@ def test_comparison_of_results(here, run):
     assert (here / "c.png").stat().st_size > 1000
     assert run("compare", "a.nc")[0] == 2
     assert run("compare", "a.nc", "a.nc")[0] == 2
+
+
+def test_results_of_one_name_are_told_apart_by_their_folders(here, run):
+    for folder, bump in {"before": 0.05, "after": 0.06, "last": 0.07}.items():
+        (here / folder).mkdir()
+        write_result(result(bump), here / folder / "stress.nc")
+    files = [f"{folder}/stress.nc" for folder in ("before", "after", "last")]
+    status, out, _ = run("compare", *files, "--plot", "c.svg")
+    assert status == 0
+    assert "after: rms" in out
+    assert "last: rms" in out
+    drawn = (here / "c.svg").read_text()
+    for words in ("before (kPa)", "after less (a) (kPa)", "last less (a) (kPa)"):
+        assert words in drawn
+    options = [option for file in files[1:] for option in ("--compare", file)]
+    assert run("report", files[0], "--output", "r.html", *options)[0] == 0
+    text = (here / "r.html").read_text()
+    assert "after less this" in text
+    assert "last less this" in text
+    assert run("report", files[0], "--output", "s.html", "--compare", files[0])[0] == 2
 
 
 def test_report_of_a_result(here, run):

@@ -122,6 +122,24 @@ def test_regions_that_cannot_be_used():
         region_statistics(maps, [region])
 
 
+def test_what_lies_beyond_the_map_is_missing():
+    maps = maps_of(lambda x, y: x * 0 - 2.0)
+    edge = X[-1] + 0.05
+    half = Region.rectangle("half", edge - 1.0, edge + 1.0, 0.0, 1.0)
+    found = region_statistics(maps, [half], background=None).sel(region="half")
+    assert float(found["area"]) == pytest.approx(2.0, rel=0.03)
+    assert float(found["missing"]) == pytest.approx(0.5, abs=0.01)
+    assert float(found["force"]) == pytest.approx(2.0, rel=0.03)
+    all_of_it = Region.rectangle("all", X[0] - 0.05, edge, Y[0] - 0.025, Y[-1] + 0.025)
+    assert float(region_statistics(maps, [all_of_it], background=None)["missing"][0]) == 0.0
+    ring = (all_of_it.outlines[0], Region.rectangle("hole", 2, 3, 0, 1).outlines[0])
+    assert Region("ring", ring).beyond(maps["axial_stress"]) == 0.0
+    shifted = xr.DataArray(np.ones((4, 4), bool), {"y": Y[:4], "x": X[-2] + 0.1 * np.arange(4)})
+    found = region_statistics(maps, [Region.of_mask("m", shifted)], background=None)
+    assert float(found["missing"][0]) == pytest.approx(0.5)
+    assert float(found["area"][0]) == pytest.approx(16 * 0.005)
+
+
 def test_imagej_regions_lie_where_they_were_drawn(tmp_path):
     """Corners of pixels in ImageJ are whole numbers: its box covers columns 10 to 19."""
     maps = maps_of(lambda x, y: -x)
@@ -208,6 +226,63 @@ def test_a_table_of_outlines(tmp_path):
     maps = maps_of(lambda x, y: -x)
     (region,) = read_regions(tmp_path / "r.csv", maps)
     assert float(region_statistics(maps, [region])["area"][0]) == pytest.approx(1.0, rel=0.03)
+
+
+CORNERS = ((2, 0), (3, 0), (3, 1), (2, 1))
+
+
+def outline(row, header="name,x_mm,y_mm"):
+    return "".join(f"{line}\n" for line in [header, *(row.format(x=x, y=y) for x, y in CORNERS)])
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        (outline("NA,{x},{y}"), ["NA"]),  # the name of a region, no missing value
+        (outline("nan,{x},{y}") + outline("null,{x},{y}", "# b"), ["nan", "null"]),
+        (outline("1,{x},{y}"), ["1"]),
+        (outline("0,a,{x},{y}", ",name,x_mm,y_mm"), ["a"]),  # with pandas' index
+        (outline("a,{x},{y},"), ["a"]),
+        (outline("a;{x};{y}", "name;x_mm;y_mm"), ["a"]),
+        (outline('"a, b",{x},{y}'), ["a, b"]),
+        ("\ufeff" + outline("a,{x},{y}"), ["a"]),
+        (outline("a,{x},{y},7"), "4 cells under a header of 3"),
+        (outline("7,a,{x},{y}"), "4 cells under a header of 3"),
+        (outline("b,{x},{y}") + outline(",{x},{y}", "# no name"), "line 7: has no name"),
+        (outline("a,{x},{y},{y}", "name,x_mm,y_mm,x_mm"), "2 columns are called 'x_mm'"),
+        (outline("a;{x},5;{y},5", "name;x_mm;y_mm"), "found name a, x_mm 2,5"),
+        (outline("a,{x} mm,{y}"), "'2 mm', not a number"),
+        (outline("a,{x},{y}", "name,x_um,y_um"), "needs the columns name, x_mm, y_mm"),
+    ],
+)
+def test_a_table_of_outlines_is_read_rightly_or_refused(tmp_path, text, names):
+    (tmp_path / "r.csv").write_text(text, encoding="utf-8")
+    maps = maps_of(lambda x, y: -x)
+    if isinstance(names, str):
+        with pytest.raises(InputError, match=names) as caught:
+            read_regions(tmp_path / "r.csv", maps)
+        assert "r.csv" in str(caught.value)
+        return
+    regions = read_regions(tmp_path / "r.csv", maps)
+    assert [region.name for region in regions] == names
+    for region in regions:
+        np.testing.assert_array_equal(region.outlines[0], CORNERS)
+
+
+def test_masks_that_programs_show_differently_are_refused(tmp_path):
+    maps = maps_of(lambda x, y: -x)
+    mask = np.zeros((Y.size, X.size), np.uint8)
+    mask[2:10, 3:7] = 255
+    for options, message in (
+        ({"extratags": [(274, "H", 1, 4)]}, "orientation tag says 4"),
+        ({"photometric": "miniswhite"}, "inverted grey"),
+    ):
+        tifffile.imwrite(tmp_path / "mask.tif", mask, **options)
+        with pytest.raises(InputError, match=message):
+            read_regions(tmp_path / "mask.tif", maps)
+    tifffile.imwrite(tmp_path / "mask.tif", mask, compression="zlib")
+    (region,) = read_regions(tmp_path / "mask.tif", maps)
+    assert float(region.weights(maps["axial_stress"]).sum()) == 32
 
 
 @pytest.mark.parametrize(

@@ -573,7 +573,7 @@ def test_unknown_convergence_records_are_left_out():
 
 def test_forces_and_convergence(page):
     text = page.locator("#solution").inner_text()
-    for part in ("31.5 mN", "31.25 mN", "0.8 %"):
+    for part in ("31.5 mN", "31.2 mN", "0.8 %"):
         assert part in text
     rows = page.locator("#solution table").nth(1).locator("tr").all_inner_texts()
     assert [row.split("\t")[0] for row in rows[1:]] == ["Mean", "1st percentile", "Most compressed"]
@@ -581,7 +581,7 @@ def test_forces_and_convergence(page):
     for row, value in zip(
         rows[1:], (stress.mean(), stress.quantile(0.01), stress.min()), strict=True
     ):
-        assert number(row.split("\t")[2]) == pytest.approx(float(value), rel=1e-3)
+        assert number(row.split("\t")[2]) == pytest.approx(float(value), rel=5e-3)
     rows = page.locator("#solution details tr").evaluate_all(
         "(r) => r.map((t) => [...t.children].map((c) => c.textContent))"
     )
@@ -1084,7 +1084,9 @@ def test_further_maps_error_bands_differences_and_regions(show, tmp_path):
     from optical_palpation.analysis import Region
 
     result = annotated()
-    other = StressResult(result.maps.assign(axial_stress=result.maps["axial_stress"] - 0.5))
+    stress = result.maps["axial_stress"]
+    changed = stress - 0.5 - 0.1 * (stress.x == stress.x[0])
+    other = StressResult(result.maps.assign(axial_stress=changed))
     name = "second </script><script>window.broken = 1</script>"
     page = show(
         write(
@@ -1111,7 +1113,13 @@ def test_further_maps_error_bands_differences_and_regions(show, tmp_path):
     row = page.locator(".regions tbody tr").first.locator("th, td").all_inner_texts()
     assert row[0] == "<i>bump</i>"
     found = result.maps["axial_stress"].sel(x=slice(0, 0.8), y=slice(1.5, 2.5))
-    assert number(row[1]) == pytest.approx(float(found.mean()), rel=0.1)
+    mean, error = row[1].split(" \u00b1 ")
+    assert number(mean) == pytest.approx(float(found.mean()), rel=0.1)
+    assert number(error) > 0
+    headings = page.locator(".regions thead th").all_inner_texts()
+    assert headings[1] == "mean \u00b1 error, at most"
+    assert len(headings) == len(row)
+    assert page.locator("[data-map='difference-0']").count() == 1
     assert page.locator("a[download]").get_attribute("href") == "stress.nc"
     assert "\u00b1" in page.locator(".figures").inner_text()
     assert page.evaluate("() => window.broken") is None
@@ -1131,7 +1139,10 @@ def test_numbers_have_the_digits_that_their_error_leaves():
     assert rounded(412.3456, 11.7) == "412 \u00b1 12"
     assert rounded(-7.1234, 0.0456) == "\u22127.123 \u00b1 0.046"
     assert rounded(0.5, 0.0999) == "0.50 \u00b1 0.10"
+    assert rounded(1234.5, 151.2) == "1230 \u00b1 150"
     assert rounded(238.17) == "238"
+    assert rounded(2381.7) == "2380"
+    assert rounded(0.01234, digits=2) == "0.012"
     assert rounded(238.17, float("nan")) == "238"
 
 
@@ -1158,6 +1169,88 @@ def test_a_printed_report_has_few_pages(page, tmp_path):
     page.pdf(path=tmp_path / "r.pdf", format="A4")
     content = (tmp_path / "r.pdf").read_bytes()
     assert 1 <= len(re.findall(rb"/Type\s*/Page[^s]", content)) <= 6
+
+
+def test_print_lays_plots_out_for_paper_and_puts_maps_in_their_frames(show, study):
+    page = show(study, width=703)  # A4 less its margins
+    page.emulate_media(media="print")
+    page.evaluate(
+        """() => {
+            window.painted = 0;
+            const before = CanvasRenderingContext2D.prototype.drawImage;
+            CanvasRenderingContext2D.prototype.drawImage = function (...given) {
+                window.painted += 1;
+                return before.apply(this, given);
+            };
+            dispatchEvent(new Event("beforeprint"));
+        }"""
+    )
+    settle(page)
+    plots = page.locator(".plot").evaluate_all(
+        """(plots) => plots.filter((p) => p.querySelector("canvas")).map((p) => {
+            const place = (e) => {
+                const b = e.getBoundingClientRect();
+                return [b.x, b.y, b.width, b.height];
+            };
+            const scale = p.querySelector("svg").getScreenCTM().a;
+            return [place(p.querySelector("rect.frame")), place(p.querySelector("canvas")), scale];
+        })"""
+    )
+    assert len(plots) > 10
+    for frame, canvas, scale in plots:
+        assert canvas == pytest.approx(frame, abs=1.5)
+        assert 12 * 0.75 * scale >= 6.5  # points
+    # Chromium shifts and shrinks in the print what is painted in answer to "beforeprint".
+    assert page.evaluate("() => window.painted") == 0
+    page.evaluate("() => dispatchEvent(new Event('afterprint'))")
+    page.emulate_media(media="screen")
+    settle(page)
+    assert page.evaluate("() => window.painted") > 0
+    host = page.locator("#stage-plot")
+    assert host.locator("svg").evaluate(
+        "(s) => s.viewBox.baseVal.width === s.parentNode.clientWidth"
+    )
+
+
+def test_a_report_without_parameters_tells_those_of_the_result(show, tmp_path):
+    result = stress_result()
+    result.maps.attrs |= {"law": "mooney-rivlin", "c10_kPa": 2.23, "edges": "free"}
+    page = show(write(tmp_path / "alone.html", result))
+    told = page.locator("#parameters .tables").inner_text()
+    for text in ("c10\t2.23 kPa", "edges\tfree", "initial_thickness\t0.5 mm"):
+        assert text in told
+
+
+def test_key_figures_have_the_errors_that_are_known_and_no_empty_counts(show, tmp_path):
+    result = stress_result()
+    result.maps.attrs |= {
+        "input_errors": json.dumps({"thickness": 0.002, "initial_thickness": 0.004}),
+        "force_error_mN": 4.4,
+        "force_error_contributions_mN": json.dumps({"thickness": 4.0, "initial_thickness": 1.8}),
+    }
+    seen = {name: found.assign(filled=found["filled"] & False) for name, found in LAYERS.items()}
+    page = show(write(tmp_path / "figures.html", result, **seen))
+    figures = page.locator(".figures div").all_inner_texts()
+    told = dict(text.replace("\u00a0", " ").split("\n") for text in figures)
+    assert told["Force on the sample"] == "31.2 \u00b1 4.4 mN"
+    assert told["Loaded thickness, median"].endswith(" \u00b1 0.0020 mm")
+    assert told["Unloaded thickness, median"].endswith(" \u00b1 0.0040 mm")
+    assert not any("nterpolated" in name for name in told)
+    assert page.locator("#hatch-label").is_hidden()
+    del result.maps.attrs["force_error_mN"]
+    result.maps.attrs["force_mesh_error_mN"] = 1.2
+    page = show(write(tmp_path / "mesh.html", result))
+    said = page.locator(".figures div").first.inner_text().replace("\u00a0", " ").split("\n")
+    assert said == ["Force on the sample, ± by the mesh alone", "31.2 ± 1.2 mN"]
+
+
+def test_warnings_are_sentences_and_break_no_option(show, tmp_path):
+    text = "sides are free: <i>give</i> --layer-extent"
+    page = show(write(tmp_path / "warned.html", stress_result(), warnings=[text]))
+    item = page.locator("#warnings li").first
+    assert item.inner_text() == text[0].upper() + text[1:]
+    assert item.locator(".whole").inner_text() == "--layer-extent"
+    assert item.locator("i").count() == 0
 
 
 def test_a_deep_volume_keeps_its_resolution_at_the_layer(tmp_path):

@@ -31,6 +31,7 @@ for name in ("window_depth", "sample_depth"):
 left.invert_yaxis()
 left.set(xlabel="x (mm)", ylabel="depth (mm)", title="B-scan in the middle")
 left.legend()
-layer["thickness"].plot.imshow(ax=right, cmap="cividis")
-right.set(title="thickness", aspect="equal")
+label = {"label": "thickness (mm)"}
+layer["thickness"].plot.imshow(ax=right, cmap="cividis", cbar_kwargs=label)
+right.set(xlabel="x (mm)", ylabel="y (mm)", title="thickness", aspect="equal")
 figure.show()

@@ -27,5 +27,5 @@ figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
 for ax, (edges, result) in zip(axes, results.items(), strict=True):
     result.plot(ax=ax, limits=limits)
     mean = float(result.maps["axial_stress"].mean())
-    ax.set_title(f"{edges}: {mean:.1f} kPa on average", loc="left")
+    ax.set_title(f"Axial stress (kPa), {edges}: {mean:.1f} on average", loc="left")
 figure.show()

@@ -16,6 +16,8 @@ from optical_palpation.errors import InputError
 
 #: Points along each side of a pixel by which the share of it that lies in an outline is counted.
 _POINTS = 8
+#: Points along each side of a region that reaches beyond the map, to tell by how much.
+_SAMPLES = 200
 #: Directions of the polygon that stands for an ellipse.
 _CORNERS = 180
 # Variables whose integral is a force, and the sign that makes compression positive.
@@ -168,6 +170,31 @@ class Region:
             )
         return field.copy(data=shares).rename("weight").drop_attrs(deep=False)
 
+    def beyond(self, like: xr.DataArray) -> float:
+        """Share of the region that lies outside of a map, to about one in a hundred."""
+        from skimage.measure import points_in_poly
+
+        field = check_map(like, "map")
+        reach = np.array(pixel_size(field))[::-1] / 2 * (1 + 1e-6)
+        first, last = (np.array([float(field[a][n]) for a in "xy"]) for n in (0, -1))
+        low, high = first - reach, last + reach
+        if self.mask is not None:
+            rows, columns = np.nonzero(self.mask.values)
+            points = np.stack([self.mask["x"].values[columns], self.mask["y"].values[rows]], -1)
+        else:
+            points = np.concatenate(self.outlines)
+        if not ((points < low) | (points > high)).any():
+            return 0.0
+        if self.mask is None:
+            at = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+            axes = (a + at * (b - a) for a, b in zip(points.min(0), points.max(0), strict=True))
+            points = np.stack(np.meshgrid(*axes), -1).reshape(-1, 2)
+            inside = np.zeros(len(points), bool)
+            for outline in self.outlines:
+                inside ^= points_in_poly(points, outline)
+            points = points[inside]
+        return float(((points < low) | (points > high)).any(axis=1).mean()) if len(points) else 0.0
+
     def _shares(
         self, y: NDArray[np.float64], x: NDArray[np.float64], size: tuple[float, float]
     ) -> NDArray[np.float64]:
@@ -226,10 +253,10 @@ def region_statistics(
     -------
     xarray.Dataset
         Over ``region``: ``mean``, ``standard_deviation``, ``minimum``, ``maximum`` in the unit of
-        the map, ``area`` (mm2), ``missing`` (share of the region without a value); of stress and
-        pressure also ``force`` (mN, compression positive). With a background that has a value,
-        ``difference`` (mean less that of the background), and ``contrast``, its size over the
-        background's noise, the standard deviation about a plane. Where the maps hold
+        the map, ``area`` (mm2), ``missing`` (share of the region without a value or outside of the
+        map); of stress and pressure also ``force`` (mN, compression positive). With a background
+        that has a value, ``difference`` (mean less that of the background), and ``contrast``, its
+        size over the background's noise, the standard deviation about a plane. Where the maps hold
         ``<variable>_error`` (of both moduli ``sample_modulus_error``), ``mean_error``, the mean of
         that error, and ``force_error`` (mN), its sum: those of an error which is the same all over
         the region, and upper bounds of any other. They are NaN where no pixel has an error. The
@@ -256,8 +283,12 @@ def region_statistics(
     weights = {region.name: region.weights(field).values for region in regions}
     error = _error(maps, variable)
     rows = []
-    for name, weight in weights.items():
-        rows.append(_statistics(name, field.values, weight, dy * dx, error, _FORCES.get(variable)))
+    for region, (name, weight) in zip(regions, weights.items(), strict=True):
+        row = _statistics(name, field.values, weight, dy * dx, error, _FORCES.get(variable))
+        beyond = region.beyond(field)
+        row["area"] /= 1.0 - beyond
+        row["missing"] = 1.0 - (1.0 - beyond) * (1.0 - row["missing"])
+        rows.append(row)
     units = field.attrs.get("units", "")
     result = xr.Dataset(
         {

@@ -7,6 +7,7 @@ import os
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,10 +19,14 @@ from optical_palpation.analysis.regions import Region
 from optical_palpation.arguments import file_path
 from optical_palpation.errors import InputError
 from optical_palpation.files import replacing
+from optical_palpation.volume.contents import translated_errors
+from optical_palpation.volume.opening import open_contents
+from optical_palpation.volume.text import MAX_VALUES, Columns, read_columns
 
 _ENDINGS = ".roi or .zip (ImageJ), .csv (napari, or name, x_mm, y_mm), .tif, .png or .npy (masks)"
 _LARGEST = 50_000_000  # bytes; an outline is a thousandth of that
 _MOST_REGIONS = 10_000
+_ORIENTATION = 274  # tag of TIFF and EXIF
 _NAPARI = ["index", "shape-type", "vertex-index", "axis-0", "axis-1"]
 
 
@@ -133,42 +138,48 @@ def _placed(pixels: NDArray[np.float64], field: xr.DataArray) -> NDArray[np.floa
 
 
 def _table(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
-    table = pd.read_csv(io.BytesIO(content), comment="#", skipinitialspace=True)
-    if list(table.columns[:5]) == _NAPARI:
-        if len(table.columns) > 5:
+    table = read_columns(path)
+    if table.names[:5] == _NAPARI:
+        if len(table.names) > 5:
             raise InputError(f"{path}: shapes in more than two dimensions; draw them on a map")
-        regions = []
-        for number, shape in table.groupby("index", sort=True):
-            kind = str(shape["shape-type"].iloc[0])
-            corners = shape.sort_values("vertex-index")[["axis-1", "axis-0"]].to_numpy(float)
-            if kind in ("line", "path"):
-                raise InputError(f"{path}: shape {number} is a {kind}, which has no area")
-            placed = _placed(corners, field)
-            make = Region.ellipse_in_box if kind == "ellipse" else Region.polygon
-            regions.append(make(f"{kind} {number}", placed))
-        return regions
-    if not {"name", "x_mm", "y_mm"} <= set(table.columns):
-        raise InputError(
-            f"{path}: needs the columns name, x_mm, y_mm (vertices of outlines), or those of a "
-            f"napari shapes layer; found {', '.join(map(str, table.columns))}"
-        )
+        return _shapes(path, table, field)
+    for column in ("name", "x_mm", "y_mm"):
+        if column not in table.names:
+            raise InputError(
+                f"{path}: needs the columns name, x_mm, y_mm (vertices of outlines), or those of a "
+                f"napari shapes layer; found {', '.join(table.names)}"
+            )
+    at = table.names.index("name")
+    names = [row.cells[at] for row in table.rows]
+    if "" in names:
+        line = table.rows[names.index("")].number
+        raise InputError(f"{path}, line {line}: has no name; every vertex names its outline")
+    vertices = np.column_stack([table.numbers("x_mm"), table.numbers("y_mm")])
     return [
-        Region.polygon(str(name), rows[["x_mm", "y_mm"]].to_numpy(float))
-        for name, rows in table.groupby("name", sort=False)
+        Region.polygon(name, vertices[[other == name for other in names]])
+        for name in dict.fromkeys(names)
     ]
 
 
+def _shapes(path: Path, table: Columns, field: xr.DataArray) -> list[Region]:
+    """Shapes of napari, in the order of their numbers."""
+    shape, vertex, *corners = (table.numbers(_NAPARI[n]) for n in (0, 2, 4, 3))
+    at = table.names.index("shape-type")
+    regions = []
+    for number in np.unique(shape):
+        rows = np.flatnonzero(shape == number)
+        rows = rows[np.argsort(vertex[rows])]
+        kind = table.rows[rows[0]].cells[at]
+        if kind in ("line", "path"):
+            raise InputError(f"{path}: shape {number:g} is a {kind}, which has no area")
+        placed = _placed(np.column_stack(corners)[rows], field)
+        make = Region.ellipse_in_box if kind == "ellipse" else Region.polygon
+        regions.append(make(f"{kind} {number:g}", placed))
+    return regions
+
+
 def _labels(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
-    if path.suffix.lower() == ".npy":
-        labels = np.load(io.BytesIO(content), allow_pickle=False)
-    elif path.suffix.lower() == ".png":
-        from PIL import Image
-
-        labels = np.asarray(Image.open(io.BytesIO(content)))
-    else:
-        import tifffile
-
-        labels = tifffile.imread(io.BytesIO(content))
+    labels = _picture(path, content) if path.suffix.lower() == ".png" else _array(path)
     if labels.ndim == 3 and labels.shape[-1] in (3, 4):
         raise InputError(f"{path}: is a colour picture; save a mask or labels, one number a pixel")
     if labels.shape != field.shape or labels.dtype.kind not in "bui":
@@ -188,6 +199,26 @@ def _labels(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
         )
         for number in found
     ]
+
+
+def _array(path: Path) -> NDArray[Any]:
+    """The only array of a TIFF or NumPy file, which lies as it seems to."""
+    reader, contents = open_contents(path)
+    with contents, translated_errors(path, reader.FORMAT):
+        (variable,) = contents.variables.values()
+        array = variable.open()
+        if np.prod(array.shape) > MAX_VALUES:
+            raise InputError(f"{path}: has more pixels than a map, {array.shape}")
+        return np.asarray(array[(slice(None),) * len(array.shape)])
+
+
+def _picture(path: Path, content: bytes) -> NDArray[Any]:
+    from PIL import Image
+
+    with Image.open(io.BytesIO(content), formats=("PNG",)) as image:
+        if (orientation := image.getexif().get(_ORIENTATION, 1)) != 1:
+            raise InputError(f"{path}: its orientation tag says {orientation}; save it upright")
+        return np.asarray(image)
 
 
 def _numbered(regions: list[Region]) -> list[Region]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -163,12 +164,7 @@ def compare(
         raise typer.BadParameter("give two results at least")
     wanted = {"result": output, "picture": plot}
     present.check_outputs({k: p for k, p in wanted.items() if p is not None}, results)
-    names = [path.name if path.is_dir() else path.stem for path in results]
-    if len(set(names)) < len(names):
-        names = [str(path) for path in results]
-    maps = {name: read(path).maps for name, path in zip(names, results, strict=True)}
-    if len(maps) < len(results):
-        raise typer.BadParameter("the same result is given twice")
+    maps = {name: read(path).maps for name, path in _named(results).items()}
     found = compare_results(maps, map, register=register)
     if output:
         write_comparison(found, output)
@@ -178,6 +174,19 @@ def compare(
         return
     print(comparison_in_words(found))
     print_files(wanted)
+
+
+def _named(results: Sequence[Path]) -> dict[str, Path]:
+    """What to call results: by their files, by the folders of these, or by both."""
+    whole = [path.resolve() for path in results]
+    if len(set(whole)) < len(whole):
+        raise typer.BadParameter("the same result is given twice")
+    files = [path.name if path.is_dir() else path.stem for path in whole]
+    folders = [path.name if path.is_dir() else path.parent.name for path in whole]
+    for names in (files, folders, [str(path) for path in results]):
+        if len(set(names)) == len(names):
+            break
+    return dict(zip(names, results, strict=True))
 
 
 def report(
@@ -206,7 +215,8 @@ def report(
     one = read(result)
     source = result / "stress.nc" if result.is_dir() else result
     beside = source.resolve().parent == output.resolve().parent
-    others = {(path.name if path.is_dir() else path.stem): read(path) for path in compare or ()}
+    named = _named([result, *(compare or ())])
+    others = {name: read(path) for name, path in named.items() if path != result}
     path = str(source)
     present.write_report(
         output,

@@ -12,6 +12,8 @@ from optical_palpation.present.figure import draw_map, figure_file, letter
 from optical_palpation.present.output import atomic
 from optical_palpation.present.terms import DIFFERENCE, Term, common_limits, term
 
+_LONGEST = 22  # letters of a name that a panel has room for
+
 
 def write_comparison(comparison: xr.Dataset, path: str | Path) -> None:
     """Write what :func:`~optical_palpation.analysis.compare_results` found as a NetCDF-4 file.
@@ -53,16 +55,15 @@ def write_comparison_figure(comparison: xr.Dataset, path: str | Path) -> None:
     each = 178.0 / max(len(fields), 3)
     width = each * len(fields)
     with figure_file(path, width, 2 * ((each - 20.0) * aspect + 20.0)) as figure:
-        axes = figure.subplots(2, len(fields), squeeze=False, sharex=True, sharey=True)
+        axes = figure.subplots(2, len(fields), squeeze=False)
         for k, (name, field) in enumerate(fields.items()):
-            named = Term(name, what.units, what.colours, what.scale)
+            short = name if len(name) <= _LONGEST else f"…{name[1 - _LONGEST :]}"
+            named = Term(short, what.units, what.colours, what.scale)
             draw_map(axes[0, k], field, named, limits=limits)
             if name in differences:
-                named = Term(f"{name} less {next(iter(fields))}", what.units, DIFFERENCE, "")
+                named = Term(f"{short} less (a)", what.units, DIFFERENCE, "")
                 draw_map(axes[1, k], differences[name], named, limits=spread)
         axes[1, 0].remove()
-        for panel in axes[0, 1:]:
-            panel.set_xlabel("")
         letter([*axes[0], *axes[1, 1:]])
 
 

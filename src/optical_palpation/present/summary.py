@@ -11,7 +11,7 @@ import xarray as xr
 
 from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.plausibility import SOFT_SAMPLE
-from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.palpation.result import ContactState, Status, StressResult
 from optical_palpation.present.profiles import on_layer
 
 # Percent; an incompressible layer that is free to spread stays far below.
@@ -72,6 +72,11 @@ def force_error(attrs: Mapping[Hashable, Any]) -> float | None:
         return float(attrs["force_error_mN"])
     known = [float(attrs[k]) for k in ("force_error_mN", "force_mesh_error_mN") if k in attrs]
     return float(np.hypot.reduce(known)) if known else None
+
+
+def of_mesh_alone(attrs: Mapping[Hashable, Any]) -> bool:
+    """Whether the only error that is known is that of the mesh, which leaves the inputs out."""
+    return force_error(attrs) is not None and "force_error_mN" not in attrs
 
 
 def mean_stress_error(maps: xr.Dataset) -> float | None:
@@ -279,5 +284,10 @@ def summarise(result: StressResult) -> str:
                 "WARNING: so much of the thickness map is made up that the stress in and around "
                 "the gaps is a guess"
             )
+    if maps.attrs.get("status") == Status.NEARLY:
+        lines.append(
+            "WARNING: nearly converged: friction at some edges goes on changing, and "
+            f"{maps.attrs['force_residual']:.1%} of the contact forces are out of balance there"
+        )
     lines += [f"WARNING: {text}" for text in json.loads(maps.attrs.get("unusual", "[]"))]
     return "\n".join(lines)

@@ -11,6 +11,7 @@ import xarray as xr
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic
 from optical_palpation.present.profiles import on_layer
+from optical_palpation.present.terms import rounded
 
 
 def write_table(table: xr.Dataset, path: str | Path) -> None:
@@ -39,17 +40,21 @@ def table_in_words(table: xr.Dataset) -> str:
     for name in table["region"].values:
         row = table.sel(region=name)
         spread = float(row["standard_deviation"])
-        off = f" ± {float(row['mean_error']):.2g}" if "mean_error" in row else ""
-        parts = [f"mean {float(row['mean']):.4g}{off} {units} (standard deviation {spread:.2g})"]
-        parts.append(f"{float(row['minimum']):.4g} to {float(row['maximum']):.4g} {units}")
+        parts = [f"mean {_said(row, 'mean')} {units} (standard deviation {spread:.2g})"]
+        parts.append(f"{_said(row, 'minimum')} to {_said(row, 'maximum')} {units}")
         if "force" in row:
-            off = f" ± {float(row['force_error']):.2g}" if "force_error" in row else ""
-            parts.append(f"force {float(row['force']):.4g}{off} mN")
-        parts.append(f"area {float(row['area']):.4g} mm2")
+            parts.append(f"force {_said(row, 'force')} mN")
+        parts.append(f"area {_said(row, 'area')} mm2")
         if "contrast" in row:
             parts.append(f"contrast {float(row['contrast']):.3g}")
         lines.append(f"  {name}: {', '.join(parts)}")
     return "\n".join(lines)
+
+
+def _said(row: xr.Dataset, name: str) -> str:
+    """A number to the digits that its error leaves, with the minus of a terminal."""
+    text = rounded(row[name], row.get(f"{name}_error"))
+    return text.replace("\N{MINUS SIGN}", "-")
 
 
 def result_columns(result: StressResult) -> dict[str, Any]:

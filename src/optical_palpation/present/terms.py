@@ -131,16 +131,19 @@ def common_limits(
     return low, high
 
 
-def rounded(value: Any, error: Any = None) -> str:
-    """A number to the digits that its error leaves, two of the error; three where that is unknown.
+def rounded(value: Any, error: Any = None, *, digits: int = 3) -> str:
+    """A number to the digits that its error leaves, two of the error; else to some digits.
 
     So 412.3 with an error of 11.7 is 412 +- 12.
     """
     value = float(value)
     if error is None or not (np.isfinite(float(error)) and float(error) > 0):
-        return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
+        text = f"{value:.{digits}g}"
+        if "e" in text and 1e-4 < abs(value) < 1e6:  # no 1.2e+03 mN
+            text = f"{float(text):.0f}"
+        return text.replace("-", "\N{MINUS SIGN}")
     error = float(f"{float(error):.1e}")
-    places = max(0, 1 - int(np.floor(np.log10(error))))
-    return f"{value:.{places}f} \N{PLUS-MINUS SIGN} {error:.{places}f}".replace(
-        "-", "\N{MINUS SIGN}"
-    )
+    place = 1 - int(np.floor(np.log10(error)))
+    places = max(0, place)
+    text = f"{round(value, place):.{places}f} \N{PLUS-MINUS SIGN} {error:.{places}f}"
+    return text.replace("-", "\N{MINUS SIGN}")

@@ -23,6 +23,7 @@ from optical_palpation.present.summary import (
     input_errors,
     mean_stress_error,
     mesh_error,
+    of_mesh_alone,
     of_series,
 )
 from optical_palpation.present.terms import (
@@ -112,7 +113,13 @@ def map_entries(
     scales["stress"] = {"colours": STRESS, "units": "kPa"}
     for number, (name, other) in enumerate(others.items()):
         found = compare_results({"this": result.maps, "other": other.maps})["difference"]
-        show(f"difference-{number}", f"{name} less this", "difference", found.isel(compared=0))
+        show(
+            f"difference-{number}",
+            f"{name} less this",
+            "difference",
+            found.isel(compared=0),
+            group="stress",
+        )
         scales["difference"] = {"colours": DIFFERENCE, "units": "kPa"}
     for name, side in {"contact_state": "sample", "window_contact_state": "window"}.items():
         if name in maps:
@@ -225,6 +232,8 @@ def uniform_maps(shown: Mapping[str, Mapping[str, Any]], result: StressResult) -
     for name, entry in shown.items():
         if entry["group"] is None and name in ("unloaded-thickness", "loaded-thickness"):
             said.append(f"{entry['title'].lower()}: the same everywhere")
+        if entry["scale"] == "difference" and entry["group"] is None:
+            said.append(f"{entry['title']}: the same everywhere")
     return said
 
 
@@ -243,25 +252,32 @@ def region_rows(
     if not regions:
         return [], []
     found = region_statistics(on_layer(result.maps), regions)
-    columns = [str(name) for name in found.data_vars]
+    columns = [
+        str(name)
+        for name in found.data_vars
+        if not str(name).endswith("_error") and not (name == "missing" and not found[name].any())
+    ]
     headings = ["Region"]
     for name in columns:
         units = found[name].attrs.get("units", "1")
         words = str(found[name].attrs.get("long_name", name))
+        if f"{name}_error" in found:
+            words += " \N{PLUS-MINUS SIGN} error, at most"
         units = {"1": "", "mm2": "mm\N{SUPERSCRIPT TWO}"}.get(units, units)
         headings.append(words + (f", {units}" if units else ""))
-    rows = [
-        (str(region), *(_number(found[name].values[k]) for name in columns))
-        for k, region in enumerate(found["region"].values)
-    ]
+    rows = []
+    for k, region in enumerate(found["region"].values):
+        errors = (found[e].values[k] if (e := f"{n}_error") in found else None for n in columns)
+        numbers = zip((found[name].values[k] for name in columns), errors, strict=True)
+        rows.append((str(region), *(rounded(value, error) for value, error in numbers)))
     return headings, rows
 
 
 def force_rows(result: StressResult) -> list[tuple[str, str]]:
     """Total forces and how well they balance."""
-    attrs = result.maps.attrs
+    attrs, maps = result.maps.attrs, on_layer(result.maps)
     rows = [
-        (f"Force on the {side}", f"{_number(attrs[key])} mN")
+        (f"Force on the {side}", f"{rounded(attrs[key], force_error(attrs))} mN")
         for side in ("window", "sample")
         if (key := f"{side}_force_mN") in attrs
     ]
@@ -280,18 +296,46 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
         rows.append(("Sides of the layer", sides))
     for method, stress in methods(result).items():
         force = -float(stress.fillna(0.0).integrate(["y", "x"]))
-        rows.append((f"Integral of the {method} map", f"{_number(force)} mN"))
+        error = _error_of(method, maps)
+        of_force = None if error is None else error.fillna(0.0).integrate(["y", "x"])
+        rows.append((f"Integral of the {method} map", f"{rounded(force, of_force)} mN"))
     return rows
+
+
+def _error_of(method: str, maps: xr.Dataset) -> xr.DataArray | None:
+    """Error of the axial stress by a method, kPa, where it is known."""
+    name = f"{METHODS[method]}_error"
+    if name in maps:
+        return maps[name]
+    alone = "contact_pressure" not in maps  # the algebraic method, whose stress is *the* stress
+    return maps.get("axial_stress_error") if alone else None
 
 
 def stress_rows(result: StressResult) -> list[tuple[str, ...]]:
     """Name and value by each method of the mean, the 1st percentile and the lowest stress."""
-    fields = [field.values[np.isfinite(field.values)] for field in methods(result).values()]
-    return [
-        ("Mean", *(_number(v.mean()) if v.size else "" for v in fields)),
-        ("1st percentile", *(_number(np.percentile(v, 1)) if v.size else "" for v in fields)),
-        ("Most compressed", *(_number(v.min()) if v.size else "" for v in fields)),
-    ]
+    maps = on_layer(result.maps)
+    rows: list[list[str]] = [["Mean"], ["1st percentile"], ["Most compressed"]]
+    for method, field in methods(result).items():
+        values = field.values[np.isfinite(field.values)]
+        if not values.size:
+            for row in rows:
+                row.append("")
+            continue
+        error = _error_of(method, maps)
+        error = None if error is None else error.interp(y=field["y"], x=field["x"])
+        rows[0].append(rounded(values.mean(), _mean_error(method, maps)))
+        for row, place in ((rows[1], np.percentile(values, 1)), (rows[2], values.min())):
+            there = np.nanargmin(abs(field.values - place))
+            row.append(rounded(place, None if error is None else error.values.flat[there]))
+    return [tuple(row) for row in rows]
+
+
+def _mean_error(method: str, maps: xr.Dataset) -> float | None:
+    """Error of the mean stress by a method, kPa."""
+    if method == "computational":
+        return mean_stress_error(maps)
+    error = _error_of(method, maps)
+    return None if error is None else float(error.mean())
 
 
 def key_figures(
@@ -303,28 +347,37 @@ def key_figures(
     bands = has_bands(attrs)
     if "sample_force_mN" in attrs:
         force = rounded(attrs["sample_force_mN"], force_error(attrs))
-        figures.append((f"Force on the sample{', 95 % band' * bands}", f"{force} mN"))
-    names = {"computational": "axial_stress_error", "algebraic": "algebraic_axial_stress_error"}
+        alone = ", ± by the mesh alone" * of_mesh_alone(attrs)
+        figures.append((f"Force on the sample{', 95 % band' * bands}{alone}", f"{force} mN"))
     for method, stress in methods(result).items():
-        error = mean_stress_error(maps) if method == "computational" else None
-        if error is None and names[method] in maps:
-            error = float(maps[names[method]].mean())
-        figures.append((f"Mean stress, {method}", f"{rounded(stress.mean(), error)} kPa"))
+        mean = rounded(stress.mean(), _mean_error(method, maps))
+        figures.append((f"Mean stress, {method}", f"{mean} kPa"))
     figures += _sample_figures(maps)
     if "contact_state" in maps:  # the algebraic method computes none
         touching = float(np.mean(maps["contact_state"].values != ContactState.OPEN))
         figures.append(("In contact with the sample", _percent(touching)))
     thickness = thicknesses(result, loaded, unloaded)
+    errors = _thickness_errors(attrs)
     if "unloaded" not in thickness and "initial_thickness_mm" in attrs:
-        given = _number(attrs["initial_thickness_mm"])
+        given = rounded(attrs["initial_thickness_mm"], errors.get("unloaded"))
         figures.append(("Unloaded thickness, mean", f"{given} mm"))
     for state, field in thickness.items():
-        figures.append((f"{state.title()} thickness, median", f"{_number(field.median())} mm"))
+        middle = rounded(field.median(), errors.get(state))
+        figures.append((f"{state.title()} thickness, median", f"{middle} mm"))
     for state, layer in (("unloaded", unloaded), ("loaded", loaded)):
-        if layer is not None and "filled" in layer:
-            fraction = float(layer["filled"].mean())
+        if layer is not None and "filled" in layer and (fraction := float(layer["filled"].mean())):
             figures.append((f"Interpolated pixels, {state}", _percent(fraction)))
     return figures
+
+
+def _thickness_errors(attrs: Mapping[Any, Any]) -> dict[str, float]:
+    """Errors of both thicknesses, mm, that the error bands rest on; empty where there are none."""
+    try:
+        given = json.loads(attrs.get("input_errors", "{}"))
+        names = {"unloaded": "initial_thickness", "loaded": "thickness"}
+        return {state: float(given[name]) for state, name in names.items() if name in given}
+    except (TypeError, ValueError, AttributeError):  # a result that other software wrote
+        return {}
 
 
 def _sample_figures(maps: xr.Dataset) -> list[tuple[str, str]]:
@@ -365,14 +418,14 @@ def band_rows(result: StressResult) -> list[tuple[str, str, str, str]]:
         for name, entry in bands.items():
             error = float(entry["half_width"])
             changes = [
-                "unknown" if entry[key] is None else f"{_number(entry[key])} {units}"
+                "unknown" if entry[key] is None else f"{rounded(entry[key], digits=2)} {units}"
                 for key, units in (("force_mN", "mN"), ("mean_stress_kPa", "kPa"))
             ]
             text = _percent(error)
             if name.endswith("friction"):
-                text = _number(error)
+                text = rounded(error)
             elif name in ("thickness", "initial_thickness"):
-                text = f"{_number(1e3 * error)} \N{MICRO SIGN}m"
+                text = f"{rounded(1e3 * error)} \N{MICRO SIGN}m"
             text = f"\N{PLUS-MINUS SIGN}{text}"
             rows.append((INPUTS.get(name, name), text, *changes))
         return rows
@@ -395,11 +448,6 @@ def solution_rows(result: StressResult) -> list[tuple[str, str]]:
         ]
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError):
         return []
-
-
-def _number(value: Any) -> str:
-    """Four digits, with the minus of print."""
-    return f"{float(value):.4g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _percent(share: float) -> str:
@@ -509,7 +557,7 @@ def _text(value: object) -> str:
     if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
     if isinstance(value, float | np.floating):
-        return f"{value:.10g}"
+        return f"{value:.7g}"
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return ", ".join(_text(v) for v in value)
     return str(value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -40,6 +41,28 @@ SCRIPTS = (
     "page.js",
 )
 _MARK = "WARNING: "
+# Of a result, what it was computed with, for where no study tells that.
+_GIVEN = (
+    "input",
+    "initial_thickness_input",
+    "initial_thickness_mm",
+    "method",
+    "law",
+    "c10_kPa",
+    "c01_kPa",
+    "c20_kPa",
+    "c30_kPa",
+    "bulk_to_shear",
+    "window_contact",
+    "sample_contact",
+    "window_friction",
+    "sample_friction",
+    "edges",
+    "element_size_mm",
+    "elements",
+    "imprint_smoothing_mm",
+    "layer_extent_mm",
+)
 # Attributes of a result that the page shows as tables of their own.
 _IN_TABLES = ("convergence", "inversion", "error_bands")
 
@@ -81,7 +104,8 @@ def write_report(
         maximum-intensity projections from. Each is read once, B-scan by B-scan. None for a study
         that starts from thickness maps.
     parameters
-        Parameters of the study by name; a mapping within is shown as a section.
+        Parameters of the study by name; a mapping within is shown as a section. Where there are
+        none, what the result says that it was computed with.
     python
         Python lines that compute the same result.
     title
@@ -123,6 +147,9 @@ def write_report(
     headings, region_rows = content.region_rows(result, regions)
     data["convergence"] = content.convergence_rows(result)
 
+    record = provenance(result.maps)
+    given = {k: v for k, v in parameters.items() if k != "title"}
+    given = given or {k: record[k] for k in _GIVEN if k in record}
     summary = summarise(result).splitlines()
     soft = of_unknown_sample(result.maps)
     cautions = [line.removeprefix(_MARK) for line in summary if line.startswith(_MARK)]
@@ -142,7 +169,10 @@ def write_report(
         scans={state: _json(entry) for state, entry in scans.items()},
         both_thicknesses=unloaded is not None,
         quality=any(layer is not None and "quality" in layer for layer in layers.values()),
-        warnings=list(dict.fromkeys([*warnings, *cautions, *([soft] if soft else [])])),
+        warnings=[
+            _sentence(line)
+            for line in dict.fromkeys([*warnings, *cautions, *([soft] if soft else [])])
+        ],
         figures=content.key_figures(result, loaded, unloaded),
         forces=content.force_rows(result),
         methods=list(content.methods(result)),
@@ -154,10 +184,8 @@ def write_report(
         bands=content.band_rows(result),
         solutions=content.solution_rows(result),
         convergence=data["convergence"],
-        parameters=content.parameter_sections(parameters),
-        record=content.parameter_sections(
-            {k: v for k, v in provenance(result.maps).items() if k not in _IN_TABLES}
-        ),
+        parameters=content.parameter_sections(given),
+        record=content.parameter_sections({k: v for k, v in record.items() if k not in _IN_TABLES}),
         python=python,
     )
     with replacing(path) as temporary, temporary.open("wb") as file:
@@ -167,6 +195,14 @@ def write_report(
 def _template(environment: Environment, name: str) -> str:
     assert environment.loader is not None
     return environment.loader.get_source(environment, name)[0].strip()
+
+
+def _sentence(text: str) -> Markup:
+    """Text that begins with a capital, and breaks no line within an option of the command."""
+    from markupsafe import Markup, escape
+
+    safe = str(escape(text[:1].upper() + text[1:]))
+    return Markup(re.sub(r"--[a-z][a-z-]*", r'<span class="whole">\g<0></span>', safe))
 
 
 def _hash(code: str) -> str:

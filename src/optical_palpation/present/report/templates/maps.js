@@ -137,8 +137,9 @@ class MapPlot extends Plot {
   legend() {
     const counts = {};
     for (const value of this.grid.values) counts[value] = (counts[value] ?? 0) + 1;
-    const items = Object.entries(data.states).map(([k, name]) => {
-      const share = (100 * (counts[k] ?? 0)) / this.grid.values.length;
+    const present = Object.entries(data.states).filter(([k]) => counts[k]);
+    const items = present.map(([k, name]) => {
+      const share = (100 * counts[k]) / this.grid.values.length;
       const swatch = element("i", { class: `swatch ${name}` });
       return element("span", {}, swatch, `${name} ${share.toFixed(1)}\u202f%`);
     });

@@ -45,7 +45,7 @@ async function build() {
   if (scans.length) linkScans(scans);
   bands.addEventListener("change", () => profiles.forEach((plot) => plot.redraw()));
   bands.parentElement.hidden = !Object.values(data.profiles).some((p) => Object.keys(p.errors).length);
-  linkBar(plots, Object.keys(masks).length > 0);
+  linkBar(plots, Object.values(masks).some((mask) => mask.values.some(Boolean)));
   cursor.move({}); // what is new follows where the reader has it by now
 }
 

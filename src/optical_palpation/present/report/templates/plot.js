@@ -48,7 +48,13 @@ function ticks(low, high, count) {
   return found;
 }
 
-const MARGIN = { left: 46, right: 10, top: 6, bottom: 36 };
+// Pixels for which plots are laid out on paper, which is narrower than the screen: were the plots of
+// the screen scaled down to it, their text would be too small to read. Their canvas stays that of the
+// screen: Chromium puts what is painted while it prints in the wrong place.
+const PRINTED = { maps: 200, stage: 480, other: 400 };
+let printing = false;
+
+const MARGIN = { left: 52, right: 10, top: 6, bottom: 36 };
 
 class Plot {
   // axes: { x: {range, label}, y: {range, label, down} }; height(width): of the frame, in pixels;
@@ -66,7 +72,16 @@ class Plot {
     this.host.append(this.canvas, this.svg);
     if (moves.x || moves.y) this.listen(label);
     else this.host.classList.add("still");
-    new ResizeObserver(() => this.resize()).observe(this.host);
+    new ResizeObserver(() => printing || this.resize()).observe(this.host);
+    addEventListener("beforeprint", () => {
+      printing = true;
+      const place = ["maps", "stage"].find((name) => this.host.closest(`.${name}`));
+      this.resize(PRINTED[place ?? "other"]);
+    });
+    addEventListener("afterprint", () => {
+      printing = false;
+      this.resize();
+    });
     cursor.listeners.push(() => this.follow());
   }
 
@@ -93,20 +108,21 @@ class Plot {
     return MARGIN.top + (down ? share : 1 - share) * this.height;
   }
 
-  resize() {
-    const whole = this.host.clientWidth;
+  resize(whole = this.host.clientWidth) {
     if (whole <= MARGIN.left + MARGIN.right) return;
     this.width = whole - MARGIN.left - MARGIN.right;
     this.height = Math.round(this.frameHeight(this.width));
     const high = this.height + MARGIN.top + MARGIN.bottom;
-    // By proportions, so that a printed page scales what the screen has drawn.
+    // By proportions, so that a printed page scales what was laid out for it.
     this.host.style.aspectRatio = `${whole} / ${high}`;
     this.svg.setAttribute("viewBox", `0 0 ${whole} ${high}`);
-    const dense = window.devicePixelRatio || 1;
-    Object.assign(this.canvas, {
-      width: Math.round(this.width * dense),
-      height: Math.round(this.height * dense),
-    });
+    if (!printing) {
+      const dense = window.devicePixelRatio || 1;
+      Object.assign(this.canvas, {
+        width: Math.round(this.width * dense),
+        height: Math.round(this.height * dense),
+      });
+    }
     Object.assign(this.canvas.style, {
       left: `${(100 * MARGIN.left) / whole}%`,
       top: `${(100 * MARGIN.top) / high}%`,
@@ -119,7 +135,7 @@ class Plot {
   redraw() {
     if (!this.width) return;
     this.drawAxes();
-    this.paint();
+    if (!printing) this.paint();
     this.follow();
   }
 

@@ -17,7 +17,9 @@ class Stage extends MapPlot {
     );
     controls.map.append(...options);
     controls.colours.append(
-      ...Object.keys(data.colours).map((key) => element("option", { value: key }, key)),
+      ...Object.keys(data.colours).map((key) =>
+        element("option", { value: key }, key.replace(/_r$/, ", reversed")),
+      ),
     );
     controls.map.addEventListener("change", () => this.choose(controls.map.value));
     controls.colours.addEventListener("change", () => {
@@ -229,6 +231,8 @@ class Stage extends MapPlot {
     document.getElementById("shapes").hidden = !this.shapes.length;
     document.getElementById("shapes-caption").textContent =
       this.entry.title + (units ? `, ${units}` : "");
+    // The read-out has the digits of the map; what is drawn by hand has fewer.
+    const few = (value, unit) => shown(Number(value.toPrecision(3)), unit);
     body.replaceChildren(
       ...this.shapes.map((shape, k) => {
         const s = this.statistics(shape);
@@ -237,11 +241,11 @@ class Stage extends MapPlot {
         gone.addEventListener("click", () => this.remove((_, n) => n === k));
         const cells = [
           `${k + 1} ${s.shape}`,
-          shown(s.size, size),
-          `${shown(s.mean)} \u00b1 ${shown(Number(s.deviation.toPrecision(2)))}`,
-          shown(s.lowest),
-          shown(s.highest),
-          Number.isFinite(s.force) ? shown(s.force, "mN") : "",
+          few(s.size, size),
+          `${few(s.mean)} \u00b1 ${shown(Number(s.deviation.toPrecision(2)))}`,
+          few(s.lowest),
+          few(s.highest),
+          Number.isFinite(s.force) ? few(s.force, "mN") : "",
         ].map((text, n) => element(n ? "td" : "th", n ? {} : { scope: "row" }, text));
         return element("tr", {}, ...cells, element("td", {}, gone));
       }),
