@@ -147,6 +147,7 @@ def test_folder(tmp_path):
         ("t.csv", "study,outputs.folder\ns,s", "outputs.folder"),
         ("t.csv", "study,name\ns,a\ns,A", "both called"),
         ("t.csv", "study,name\ns,a,b\n,c", "line 2.*line 3|line 2"),
+        ("t.csv", "study,friction.window,friction.sample\ns,0.2", "line 2: 2 cells below 3"),
         ("t.csv", "", "no study"),
         ("t.csv", "study\n", "no study"),
         ("t.toml", "study = 1", "text in quotes"),
@@ -206,6 +207,10 @@ def test_need_grows_with_the_elements_and_is_unknown_of_a_broken_scan(tmp_path):
     (tmp_path / "t.csv").write_text("\n".join(["name,study,grid.element_size", *rows]))
     needs = [predicted_need(scan) for scan in read_batch(tmp_path / "t.csv").scans]
     assert 4e6 < needs[0] < needs[1] < needs[2] < 2e9
+    keys = "sample.thickness,sample.compression,sample.plate_friction"
+    (tmp_path / "t.csv").write_text(f"study,grid.element_size,{keys}\nstudy.toml,0.05,1,0.2,0.1\n")
+    with_sample = predicted_need(read_batch(tmp_path / "t.csv").scans[0])
+    assert needs[2] < with_sample < 2e9
     (tmp_path / "t.csv").write_text("study,grid.accuracy\nstudy.toml,0.05\n")
     assert 4e6 < predicted_need(read_batch(tmp_path / "t.csv").scans[0]) < 2e9
     batch = read_batch(table(tmp_path, ["damaged.npz"]))

@@ -27,7 +27,7 @@ from optical_palpation.errors import (
 )
 from optical_palpation.files import replacing
 from optical_palpation.palpation.memory import predicted_memory
-from optical_palpation.palpation.result import StressResult
+from optical_palpation.palpation.result import Status, StressResult
 from optical_palpation.palpation.submodel import (
     SubmodelInputs,
     checked_region,
@@ -236,6 +236,7 @@ def compute_tile(
             solved = solve(job.margin)
         except ConvergenceError as error:
             said = f"computed with a margin of {_WIDER * job.margin:g} mm, because {error}"
+        if said:  # only now is the memory of the first try free: an exception keeps it
             solved = solve(_WIDER * job.margin)
         write_result(StressResult(solved.maps), target)
     except OpticalPalpationError as error:
@@ -335,6 +336,8 @@ def _blended(
         }.items()
     }
     wider = [a["name"] for a in found if a["submodel_margin_mm"] > 1.5 * inputs.margin]
+    nearly = any(attrs["status"] == Status.NEARLY for attrs in found)
+    status = Status.NEARLY if nearly else Status.CONVERGED
     attrs: dict[Any, Any] = {
         **settings_of(about),
         "element_size_mm": list(found[0]["element_size_mm"]),
@@ -342,7 +345,7 @@ def _blended(
         "imprint_smoothing_mm": found[0]["imprint_smoothing_mm"],
         "sample_force_mN": float(maps["contact_pressure"].fillna(0.0).integrate(["x", "y"])),
         "newton_iterations": sum(int(attrs["newton_iterations"]) for attrs in found),
-        "status": "converged" if not failed else "incomplete",
+        "status": str(Status.INCOMPLETE if failed else status),
         **worst,
         "submodel_region_mm": [float(x[0]), float(x[-1]), float(y[0]), float(y[-1])],
         "submodel_margin_mm": inputs.margin,

@@ -177,10 +177,10 @@ def _from_csv(source: Path, text: str) -> list[Scan]:
     scans: list[Scan] = []
     problems = []
     for line, row in body:
-        if len(row) > len(header):
+        if len(row) != len(header):  # one that is short may lack a cell anywhere
             problems.append(f"line {line}: {len(row)} cells below {len(header)} columns")
             continue
-        cells = {key: cell for key, cell in zip(header, row, strict=False) if cell}
+        cells = {key: cell for key, cell in zip(header, row, strict=True) if cell}
         if "study" not in cells:
             problems.append(f"line {line}: column study is empty")
             continue
