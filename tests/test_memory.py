@@ -14,15 +14,24 @@ import xarray as xr
 
 from optical_palpation.cli import main
 from optical_palpation.errors import InsufficientMemoryError
+from optical_palpation.experiment import read_scene, run_experiment
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.problem import LayerProblem
+from optical_palpation.mechanics.stack.assembly import Blocks, Mesh, assemble, count_elements
 from optical_palpation.palpation import computational_stress, memory, threads
+from optical_palpation.stiffness import Sample, sample_stress
 from optical_palpation.thickness import thickness_map, write_thickness_map
 
-MEASURE = """
+PEAK = """
 import json, re, sys
+
+def peak():  # getrusage would count the memory of this process's parent, too
+    return 1024 * int(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1])
+"""
+
+LAYER = """
 import numpy as np, psutil
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import computational_stress
@@ -41,10 +50,36 @@ def solve(*size):
 solve(0.5, 0.5, 0.25)  # what is loaded or compiled once does not belong to the elements
 before = psutil.Process().memory_info().rss
 shape = solve(*map(float, sys.argv[2:]))
-# getrusage would count the memory of this process's parent, too
-peak = 1024 * int(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1])
-print(json.dumps([shape, peak - before]))
+print(json.dumps([shape, peak() - before]))
 """
+
+STACK = """
+import psutil
+from optical_palpation.experiment import read_scene, run_experiment
+from optical_palpation.experiment.scene import with_element_size
+
+scene = read_scene(sys.argv[1])
+
+def solve(size):
+    done = run_experiment(with_element_size(scene, size), threads=1)
+    return sum(done.maps.attrs["elements"])
+
+solve(0.5)
+before = psutil.Process().memory_info().rss
+elements = solve(float(sys.argv[2]))
+print(json.dumps([elements, peak() - before]))
+"""
+
+
+def measured(code, *arguments):
+    done = subprocess.run(
+        [sys.executable, "-c", PEAK + code, *map(str, arguments)],
+        env=os.environ | {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return json.loads(done.stdout)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="peak memory is read as Linux tells it")
@@ -57,15 +92,63 @@ print(json.dumps([shape, peak - before]))
     ],
 )
 def test_predicted_memory_is_what_a_run_takes(solver, size):
-    done = subprocess.run(
-        [sys.executable, "-c", MEASURE, solver, *map(str, size)],
-        env=os.environ | {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    shape, taken = json.loads(done.stdout)
+    shape, taken = measured(LAYER, solver, *size)
     assert 0.9 < memory.predicted_memory(tuple(shape), solver) / taken < 1.5
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="peak memory is read as Linux tells it")
+@pytest.mark.parametrize(("name", "size"), [("nodule", 0.09), ("soft_stiff_columns", 0.125)])
+def test_predicted_memory_is_what_a_virtual_experiment_takes(name, size):
+    elements, taken = measured(STACK, name, size)
+    assert 0.9 < memory.predicted_stack_memory(elements) / taken < 1.4
+
+
+def test_a_sample_that_cannot_fit_names_elements_that_would(monkeypatch):
+    blocks = Blocks(
+        extent=(0.0, 4.0, 0.0, 4.0),
+        thickness=lambda x, _: np.full(x.shape, 0.5),
+        law=MooneyRivlin(2.23, 0.703),
+        sample_size=(4.0, 5.0),
+        sample_thickness=2.0,
+        sample_law=MooneyRivlin(2.23, 0.703),
+        relief=lambda x, _: np.zeros(x.shape),
+        friction=(0.1, 0.1, 0.3),
+        travel=0.3,
+    )
+    mesh = Mesh(0.05)
+    elements = count_elements(blocks, mesh)
+    assert elements == assemble(blocks, mesh).n_elements
+    needed = memory.predicted_stack_memory(elements)
+    monkeypatch.setattr(memory, "available_memory", lambda: 2 * needed)
+    memory.check_stack_memory(blocks, mesh)
+    monkeypatch.setattr(memory, "available_memory", lambda: needed / 6)
+    with pytest.raises(InsufficientMemoryError, match=f"{elements:,} elements need") as caught:
+        memory.check_stack_memory(blocks, mesh)
+    size = float(re.search(r"element size of (\S+) mm would fit", str(caught.value))[1])
+    memory.check_stack_memory(blocks, Mesh(size))
+    assert memory.predicted_stack_memory(count_elements(blocks, Mesh(size))) > needed / 12
+    monkeypatch.setattr(memory, "available_memory", lambda: 1e6)
+    with pytest.raises(InsufficientMemoryError, match="free some memory"):
+        memory.check_stack_memory(blocks, mesh)
+
+
+def test_a_virtual_experiment_and_a_soft_sample_are_refused_before_they_are_meshed(monkeypatch):
+    monkeypatch.setattr(memory, "available_memory", lambda: 1e7)
+    scene = read_scene("nodule")
+    with pytest.raises(InsufficientMemoryError, match=r"elements need about 0\.\d+ GB"):
+        run_experiment(scene)
+    axis = np.linspace(0.0, 4.0, 41)
+    loaded = thickness_map(np.full((41, 41), 0.49), x=axis, y=axis)
+    with pytest.raises(InsufficientMemoryError, match=r"elements need about 0\.\d+ GB"):
+        sample_stress(
+            loaded,
+            0.5,
+            MooneyRivlin(2.23, 0.703),
+            Sample(2.0, 0.3, 0.3),
+            window_friction=0.1,
+            sample_friction=0.1,
+            element_size=0.125,
+        )
 
 
 def flat(lateral: int, deep: int) -> LayerProblem:

@@ -10,6 +10,7 @@ from optical_palpation.experiment.scene import Scene, map_height, volume_factor
 from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.stack.assembly import Blocks, Mesh, assemble
 from optical_palpation.mechanics.stack.problem import Stack
+from optical_palpation.palpation.memory import check_stack_memory
 
 Array = NDArray[np.float64]
 
@@ -21,7 +22,15 @@ def build(
     relief: xr.DataArray | None = None,
     stiffness: xr.DataArray | None = None,
 ) -> Stack:
-    """Mesh a scene with elements ``coarsening`` times as large as it asks for."""
+    """Mesh a scene with elements ``coarsening`` times as large as it asks for.
+
+    Raises
+    ------
+    InputError
+        If the elements are too large, or the relief leaves next to nothing of the sample.
+    InsufficientMemoryError
+        If they are too many.
+    """
     layer, sample, friction = scene.layer, scene.sample, scene.friction
 
     def height(x: Array, y: Array) -> Array:
@@ -43,6 +52,7 @@ def build(
     mesh = Mesh(asked.element_size, asked.edge_size, asked.layer_elements, asked.growth)
     if coarsening != 1.0:
         mesh = mesh.coarser(coarsening, layer.thickness)
+    check_stack_memory(blocks, mesh)
     return assemble(blocks, mesh, lambda grid: _stiffness(scene, grid, stiffness))
 
 

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from contextlib import suppress
 from math import ceil, floor, log10
 from pathlib import Path
 
-from optical_palpation.errors import InsufficientMemoryError
+import numpy as np
+
+from optical_palpation.errors import InputError, InsufficientMemoryError
 from optical_palpation.mechanics.krylov import KEPT
 from optical_palpation.mechanics.problem import LayerProblem
+from optical_palpation.mechanics.stack.assembly import Blocks, Mesh, count_elements
 from optical_palpation.mechanics.stencil import padded
 from optical_palpation.runtime.environment import address_space_limit
 
@@ -17,6 +22,8 @@ from optical_palpation.runtime.environment import address_space_limit
 _MULTIGRID, _FACE = 1450.0, 3000.0
 #: Bytes of such a run whatever its size.
 _FIXED = 4e6
+#: Bytes per element of layer and sample, of runs with a sample, and those whatever the size.
+_STACK, _STACK_FIXED = 4900.0, 3e7
 #: Bytes per node of the sparse matrix on its way to the direct solver, and per node and node of
 #: the depth of its factors, which grow with the logarithm of the lateral size besides.
 _MATRIX, _FACTORS = 20000.0, 400.0
@@ -24,6 +31,8 @@ _MATRIX, _FACTORS = 20000.0, 400.0
 _WORK = 6.4e7
 #: Share of the available memory that a run may be predicted to take.
 _USABLE = 0.95
+#: How much larger elements may have to be to be proposed.
+_COARSEST = 64.0
 
 #: Krylov vectors of a linear solution that take memory; most need fewer.
 _DIRECTIONS = 10
@@ -89,25 +98,64 @@ def check_memory(problem: LayerProblem, solver: str = "multigrid") -> None:
         With the memory needed, the memory there is, and the element size that would fit.
     """
     shape = problem.grid.shape
-    needed, available = predicted_memory(shape, solver), available_memory()
-    usable = _USABLE * available
-    if needed <= usable:
-        return
     spacing = problem.grid.spacing[::-1]
-    advice = "free some memory"
-    factor = 1.0
-    while factor < 64:
-        factor *= 1.05
-        coarser = [max(1, round(n / factor)) for n in shape]
-        if predicted_memory((coarser[0], coarser[1], coarser[2]), solver) <= usable:
-            sizes = " ".join(f"{_rounded_up(factor * size):.2g}" for size in spacing)
-            advice = f"elements of {sizes} mm (x y z) would fit"
-            if solver == "direct":
-                advice += ", and the multigrid solver needs far less"
-            break
+
+    def needed(factor: float) -> float:
+        nz, ny, nx = (max(1, round(n / factor)) for n in shape)
+        return predicted_memory((nz, ny, nx), solver)
+
+    def advice(factor: float) -> str:
+        sizes = " ".join(f"{_rounded_up(factor * size):.2g}" for size in spacing)
+        direct = ", and the multigrid solver needs far less" if solver == "direct" else ""
+        return f"elements of {sizes} mm (x y z) would fit{direct}"
+
+    _check(problem.grid.n_elements, needed, advice)
+
+
+def predicted_stack_memory(elements: int) -> float:
+    """Peak memory of a computation with a sample, bytes, of the elements of layer and sample."""
+    return _STACK * elements + _STACK_FIXED
+
+
+def check_stack_memory(blocks: Blocks, mesh: Mesh) -> None:
+    """Refuse a layer on a sample that cannot fit in memory, before it is meshed.
+
+    Raises
+    ------
+    InsufficientMemoryError
+        As ``check_memory``.
+    InputError
+        If the elements are too large.
+    """
+    x0, x1, y0, y1 = blocks.extent
+    thickness = float(np.median(blocks.thickness(*np.meshgrid([x0, x1], [y0, y1]))))
+
+    def elements(factor: float) -> int:
+        return count_elements(blocks, mesh if factor == 1 else mesh.coarser(factor, thickness))
+
+    def advice(factor: float) -> str:
+        return f"an element size of {_rounded_up(factor * mesh.size):.2g} mm would fit"
+
+    _check(elements(1), lambda factor: predicted_stack_memory(elements(factor)), advice)
+
+
+def _check(elements: int, needed: Callable[[float], float], advice: Callable[[float], str]) -> None:
+    """Compare the memory ``needed`` by elements a factor as large with what there is."""
+    most = needed(1.0)
+    available = available_memory()
+    usable = _USABLE * available
+    if most <= usable:
+        return
+    factor, what = 1.0, "free some memory"
+    with suppress(InputError):  # elements that large are none
+        while factor < _COARSEST:
+            factor *= 1.05
+            if needed(factor) <= usable:
+                what = advice(factor)
+                break
     raise InsufficientMemoryError(
-        f"{problem.grid.n_elements:,} elements need about {_gigabytes(needed)} of memory and "
-        f"{_gigabytes(available)} are available: {advice}"
+        f"{elements:,} elements need about {_gigabytes(most)} of memory and "
+        f"{_gigabytes(available)} are available: {what}"
     )
 
 
