@@ -31,7 +31,12 @@ from scipy.ndimage import gaussian_filter
 
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.palpation import Progress, StressResult, computational_stress
+from optical_palpation.palpation import (
+    InputErrors,
+    Progress,
+    StressResult,
+    computational_stress,
+)
 from optical_palpation.thickness import thickness_map
 
 RELIEFS = (
@@ -65,6 +70,8 @@ class Case:
     thickness: float
     element_size: tuple[float, float, float]
     field: tuple[float, float]
+    #: Whether the influence of the sides and the error bands are found, too.
+    estimates: bool = True
 
     def maps(self) -> tuple[xr.DataArray, xr.DataArray]:
         """Loaded and unloaded thickness, mm."""
@@ -98,6 +105,8 @@ class Case:
             edges=self.edges,
             solver=solver,
             threads=1,
+            edge_check=self.estimates,
+            input_errors=InputErrors() if self.estimates else None,
             progress=progress,
         )
 

@@ -2,8 +2,8 @@
 
     python benchmarks/stuck_layer.py [--strain 0.1] [--deep 2 4 8] [--lateral 0.125]
 
-A flat layer of 3 x 3 x 0.5 mm (C10 2.23 kPa, C01 0.703 kPa, sides free, friction 2 on both faces)
-is compressed, with straight and with curved sides of its elements; on one thread.
+A flat layer of 3 x 3 x 0.5 mm (C10 2.23 kPa, C01 0.703 kPa, sides free, both faces glued) is
+compressed, with straight and with curved sides of its elements; on one thread.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ def flat_layer(deep: int, lateral: float, strain: float, curved: bool) -> LayerP
         LayerGrid(x, x, depth, np.full((len(x), len(x)), THICKNESS)),
         Imprint(pixels, pixels, flat, (1 - strain) * flat),
         LAW,
-        (2.0, 2.0),
+        (0.0, 0.0),
         curved_sides=curved,
+        glued=(True, True),
     )
 
 

@@ -116,6 +116,8 @@ def test_elements_finer_than_the_rim_agree_with_coarser_ones():
             sample_friction=0.1,
             element_size=(0.05, 0.05, depth),
             imprint_smoothing=0.03,
+            edge_check=False,
+            input_errors=None,
         )
         return result.maps.attrs["sample_force_mN"]
 

@@ -156,6 +156,8 @@ def test_stiff_sample_acts_as_the_rigid_imprint():
         element_size=(0.2, 0.2, 0.5 / 3),
         imprint_smoothing=0.0,
         threads=1,
+        edge_check=False,
+        input_errors=None,
     )
     assert recovered.maps.attrs["window_force_mN"] == pytest.approx(
         result.maps.attrs["window_force_mN"], rel=0.03

@@ -49,7 +49,7 @@ def solved(loaded, window="glued", sample="glued", ratio=1e4, size=0.125, **opti
         window_friction=window,
         sample_friction=sample,
         element_size=size,
-        **options,
+        **{"edge_check": False, "input_errors": None} | options,
     )
 
 

@@ -41,6 +41,8 @@ def press(size):
         sample_friction=0.1,
         element_size=size,
         threads=1,
+        edge_check=False,
+        input_errors=None,
     )
 
 

@@ -20,7 +20,8 @@ def test_random_maps_converge_or_fail_as_documented():
 
 @pytest.mark.parametrize("number", [7, 13, 55, 95])
 def test_layers_with_nowhere_to_go_and_great_compression_converge(number):
-    outcome = robustness.attempt(robustness.random_case(number), limit=LIMIT)
+    case = replace(robustness.random_case(number), estimates=False)
+    outcome = robustness.attempt(case, limit=LIMIT)
     assert outcome.kind == "converged", outcome.text
     assert outcome.newton < 60
 

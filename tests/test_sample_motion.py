@@ -104,7 +104,10 @@ def bump(n: int = 13) -> xr.DataArray:
     return thickness_map(0.42 - dent, x=x, y=x)
 
 
-SETTINGS = {"window_friction": 0.2, "sample_friction": 0.2, "element_size": 0.25, "threads": 1}
+SETTINGS = {
+    **{"window_friction": 0.2, "sample_friction": 0.2, "element_size": 0.25, "threads": 1},
+    **{"edge_check": False, "input_errors": None},
+}
 
 
 def stress(loaded: xr.DataArray, motion: xr.Dataset | None, **changes) -> xr.Dataset:

@@ -25,6 +25,8 @@ def solved(scale: float = 1.0, stiffness: float = 1.0, window=0.2, **options):
         window_friction=window,
         sample_friction=0.1,
         element_size=0.1 * scale,
+        edge_check=False,
+        input_errors=None,
         **options,
     )
 

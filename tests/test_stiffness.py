@@ -11,14 +11,16 @@ from scipy.sparse.linalg import spsolve
 
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.experiment import Scene, run_experiment
+from optical_palpation.mechanics.iteration import TOLERANCES, relaxed
+from optical_palpation.mechanics.stack.assembly import Blocks, Mesh
 from optical_palpation.mechanics.stack.cascade import solve
-from optical_palpation.mechanics.stack.newton import balance
+from optical_palpation.mechanics.stack.newton import balance, equilibrate, make_solver
 from optical_palpation.mechanics.stack.problem import INTERFACE, SAMPLE
 from optical_palpation.mechanics.stack.tangent import Tangent, stiffness_forces
 from optical_palpation.palpation import InputErrors, computational_stress
 from optical_palpation.present import read_result, summarise, write_result
 from optical_palpation.stiffness import Sample, sample_stress
-from optical_palpation.stiffness.forward import Columns, Model, Sought
+from optical_palpation.stiffness.forward import Columns, Model, Pressed, Sought
 from optical_palpation.stiffness.measurement import ThicknessSurface
 from optical_palpation.stiffness.sample import check_sample
 from optical_palpation.thickness import clean_thickness, thickness_map
@@ -107,6 +109,8 @@ def test_stress_force_and_stiffness_of_soft_and_stiff_columns(columns, found):
         window_friction=0.3,
         sample_friction=0.1,
         element_size=0.1875,
+        edge_check=False,
+        input_errors=None,
     )
     assert error(maps, truth) < 0.06
     assert error(still.maps, truth) > 0.3
@@ -357,13 +361,63 @@ def test_factors_solve_many_right_hand_sides(small):
     assert (left < 1e-13 * scale).all()
 
 
+@pytest.mark.parametrize("what", ["stiffness", "travel", "relief"])
+def test_what_a_sensitivity_leaves_is_of_second_order(what):
+    """Of equilibria with the same slip before the last load step (Taylor test)."""
+    grid = Columns(np.linspace(0, 3, 7), np.linspace(0, 3, 7))
+    model = Model(_blocks(scene(compression=0.15)), Mesh(0.375), grid)
+    x = np.linspace(0, 3, 31)
+    flat = xr.DataArray(np.full((31, 31), 0.45), {"y": x, "x": x}, ("y", "x"))
+    surface = ThicknessSurface.fitted(flat, 0.375)
+    rng = np.random.default_rng(0)
+    stiffness, heights = 0.3 * rng.normal(size=grid.shape), 0.005 * rng.normal(size=grid.corners)
+    change = {
+        "stiffness": rng.normal(size=grid.shape),
+        "travel": 0.03,
+        "relief": 0.01 * rng.normal(size=grid.corners),
+    }
+
+    def sought(step):
+        moved = {name: step * value if name == what else 0.0 for name, value in change.items()}
+        return Sought(
+            stiffness + moved["stiffness"], (0.15 + moved["travel"],), heights + moved["relief"]
+        )
+
+    tight = replace(relaxed(TOLERANCES, 1e-3), iterations=100, patience=100)
+    (start,) = model.pressed(sought(0.0))
+
+    def at(step):
+        stack = model.stacks(sought(step))[0][-1]
+        return Pressed(stack, equilibrate(stack, start.state, make_solver(stack), tight)[0].state)
+
+    here = at(0.0)
+    told = here.sensitivity(surface, relief=True).of(model.derivatives(True, 1, 0))
+    direction = np.concatenate(
+        [(name == what) * np.ravel(change[name]) for name in ("stiffness", "relief", "travel")]
+    )
+    left = []
+    for step in (0.2, 0.1, 0.05):
+        there = at(step)
+        thickness = (there.misfit(surface) - here.misfit(surface)).ravel()
+        force = there.force - here.force
+        left.append(
+            (
+                np.linalg.norm(thickness - step * told.thickness @ direction),
+                abs(force - step * float(told.force @ direction)),
+            )
+        )
+        assert left[-1][0] < 0.2 * np.linalg.norm(thickness)
+    order = np.log2(np.array(left[:-1]) / left[1:])
+    assert (order[:, 0] > 1.7).all()
+    assert (order[:, 0] < 2.3).all()
+    assert (order[:, 1] > 1.7).all()
+
+
 def test_sensitivity_agrees_with_solutions_from_scratch():
     """On a load path of friction, to the part of it that the slip before the last step is."""
     of = scene(compression=0.15)
     blocks = _blocks(of)
     grid = Columns(np.linspace(0, 3, 7), np.linspace(0, 3, 7))
-    from optical_palpation.mechanics.stack.assembly import Mesh
-
     model = Model(blocks, Mesh(0.375), grid)
     x = np.linspace(0, 3, 31)
     flat = xr.DataArray(np.full((31, 31), 0.45), {"y": x, "x": x}, ("y", "x"))
@@ -388,8 +442,6 @@ def test_sensitivity_agrees_with_solutions_from_scratch():
 
 def test_sensitivity_to_the_relief_agrees_with_solutions_from_scratch():
     """Without friction at the sample there is next to no path for the derivative to leave out."""
-    from optical_palpation.mechanics.stack.assembly import Mesh
-
     blocks = replace(_blocks(scene(compression=0.15)), friction=(0.3, 0.0, 0.3))
     grid = Columns(np.linspace(0, 3, 9), np.linspace(0, 3, 9))
     model, travels = Model(blocks, Mesh(0.375), grid), (0.08, 0.15)
@@ -416,8 +468,6 @@ def test_sensitivity_to_the_relief_agrees_with_solutions_from_scratch():
 
 
 def _blocks(of):
-    from optical_palpation.mechanics.stack.assembly import Blocks
-
     return Blocks(
         extent=(0.0, 3.0, 0.0, 3.0),
         thickness=lambda x, _: np.full(x.shape, of.layer.thickness),

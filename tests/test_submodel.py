@@ -9,12 +9,14 @@ from numpy.testing import assert_allclose
 
 from optical_palpation.errors import InputError
 from optical_palpation.mechanics.direct import DirectSolver, sparse_matrix
+from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.newton import balance
+from optical_palpation.mechanics.problem import LayerState
 from optical_palpation.mechanics.submodel import part_of
 from optical_palpation.mechanics.system import assemble
 from optical_palpation.palpation import algebraic_result, submodel_stress
 from optical_palpation.present import read_result
-from submodel_case import GEL, THICKNESS, error, relief, whole
+from submodel_case import GEL, SIZE, THICKNESS, error, relief, whole
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +68,18 @@ def test_uniform_stress_goes_through_cut_sides_unchanged():
     assert part.maps.attrs["submodel_sides_error"] < 1e-4
 
 
+def test_a_region_is_filled_by_what_has_moved_there():
+    """A layer that slides: its border moves by one and a half thicknesses."""
+    x = np.linspace(0, 6, 61)
+    flat = xr.DataArray(np.full((61, 61), 0.28), {"y": x, "x": x}, ("y", "x"))
+    flat.attrs["units"] = "mm"
+    solved = whole(0.2, 0.005, 0.005, flat)
+    for region in ((4.6, 5.6, 2.0, 3.0), (0.0, 1.0, 5.0, 6.0)):
+        part = submodel_stress(solved, flat, THICKNESS, region, element_size=0.1)
+        assert not part.maps["axial_stress"].isnull().any()
+        assert error(part, solved) < 0.01
+
+
 def test_a_part_under_a_pressure_of_many_shear_moduli():
     """In the middle of a layer 20 thicknesses wide; a dead load would fold its sides."""
     x = np.linspace(0, 8, 161)
@@ -107,6 +121,38 @@ def test_the_matrix_is_the_derivative_of_the_equations(coarse):
     area = 2 * sides.sum() * part.imprint.loaded.mean()
     expected_stiffness = area * part.surroundings.stiffness
     assert part.border.stiffness.sum() == pytest.approx(expected_stiffness, rel=0.1)
+
+
+@pytest.mark.parametrize("waves", [1, 6])
+def test_a_cut_side_resists_a_wave_by_its_springs_and_its_membrane(waves):
+    """The energy of springs k and a membrane T, of a wave across one side of an unloaded part."""
+    problem = whole(0.2, 0.0, 0.0, relief(0.0)).problem
+    rest = LayerState.unloaded(problem.grid)
+    grid = LayerGrid(
+        problem.grid.x, np.linspace(0, SIZE, 97), problem.grid.depth, np.full((97, 13), THICKNESS)
+    )
+    part = part_of(problem.on_grid(grid, problem.imprint), problem, rest, (0.8, 1.6, 0.4, 2.0))
+    part_grid = part.grid
+    y = part_grid.y - part_grid.y[0]
+    length = y[-1]
+    u = np.zeros((3, *part_grid.node_shape))
+    force = np.zeros_like(u)
+    number = np.pi * waves / length
+    u[0, :, :, 0] = 1e-3 * np.cos(number * y)
+    part.border.add_resistance(u, force)
+    side = part.border.sides[[s.nodes[2].max() for s in part.border.sides].index(0)]
+    assert side.nodes[0].shape == part_grid.node_shape[:2]
+    springs = part.surroundings.stiffness + part.surroundings.tension * number**2
+    expected = springs * 0.5 * 1e-6 * length * THICKNESS
+    # cut sides across y are held at their two edges too, which this wave moves
+    along = part_grid.spacing[2]
+    expected += (
+        2
+        * 1e-6
+        * THICKNESS
+        * (part.surroundings.stiffness * along / 2 + part.surroundings.tension / along)
+    )
+    assert (u * force).sum() == pytest.approx(expected, rel=0.02)
 
 
 def nudged(part, problem, state):

@@ -13,17 +13,24 @@ needs.
 
 The pressure in t0 follows the sides as they turn, as that of the neighbouring elements would. As a
 dead load of many shear moduli it would fold them.
+
+A cut through a layer that is sheared a lot makes a surface that wrinkles (Biot): k alone holds the
+long waves of u - u0, while what the rest of the layer does to shorter ones grows with their wave
+number. A membrane on the cut, of tension T, stands for that,
+
+    t = t0 - k (u - u0) + T div grad (u - u0).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .faces import add_blocks, area_derivatives, area_vectors
+from .faces import add_blocks, area_derivatives, area_vectors, gradient_products
 from .grid import LayerGrid
 
 Array = NDArray[np.float64]
@@ -40,29 +47,53 @@ _NEAR = 5
 class CutSide:
     """A cut side, a surface of nodes (nz + 1, n).
 
-    ``nodes`` are their indices (k, j, i), ``unloaded`` their positions, (3, nz + 1, n), mm,
-    ``pressure`` that of the coarse solution, kPa, and ``sign`` that of the area vectors outwards.
+    ``nodes`` are their indices (k, j, i), ``unloaded`` their positions and ``displacement`` u0 of
+    each, (3, nz + 1, n), mm, ``pressure`` that of the coarse solution, kPa, ``sign`` that of the
+    area vectors outwards, and ``tension`` that of the membrane, mN / mm.
     """
 
     nodes: Indices
     unloaded: Array
+    displacement: Array
     pressure: Array
     sign: float
+    tension: float
 
-    def push(self, u: Array) -> Array:
-        """What the pressure does to the nodes, (3, nz + 1, n), mN."""
-        return -self.sign * self.pressure * area_vectors(self.unloaded + u[:, *self.nodes])
+    @cached_property
+    def corners(self) -> NDArray[np.intp]:
+        """Indices (k, j, i) of the corners of the m faces, (3, 4, m)."""
+        return np.stack([_at_corners(index) for index in self.nodes])
 
-    def turning(self, u: Array) -> tuple[NDArray[np.intp], Array]:
-        """The resistance to turning against it, as ``add_blocks`` takes it."""
+    @cached_property
+    def membrane(self) -> Array:
+        """Stiffness of the membrane between the corners of each face, (4, 4, m), mN / mm."""
+        return self.tension * gradient_products(self.unloaded + self.displacement)
 
-        def at_corners(field: NDArray) -> NDArray:
-            here = slice(None, -1), slice(1, None)
-            return np.stack([field[..., y, x].reshape(-1) for y in here for x in here])
+    def resistance(self, u: Array) -> Array:
+        """What the nodes pull at pressure and membrane with, (3, nz + 1, n), mN."""
+        now = u[:, *self.nodes]
+        off = np.stack([_at_corners(component) for component in now - self.displacement])
+        pulled = np.einsum("abm,cbm->cam", self.membrane, off)
+        out = self.sign * self.pressure * area_vectors(self.unloaded + now)
+        rows, columns = now.shape[1:]
+        for a, part in enumerate(pulled.reshape(3, 4, rows - 1, columns - 1).swapaxes(0, 1)):
+            y, x = divmod(a, 2)
+            out[:, y : rows - 1 + y, x : columns - 1 + x] += part
+        return out
 
-        corners = np.stack([at_corners(index) for index in self.nodes])
+    def stiffness(self, u: Array) -> tuple[NDArray[np.intp], Array]:
+        """The derivative of that, as ``add_blocks`` takes it."""
         change = area_derivatives(self.unloaded + u[:, *self.nodes])
-        return corners, self.sign * at_corners(self.pressure)[:, None] * change
+        blocks = self.sign * _at_corners(self.pressure)[:, None] * change
+        for c in range(3):
+            blocks[c, c] += self.membrane
+        return self.corners, blocks
+
+
+def _at_corners(field: NDArray) -> NDArray:
+    """Nodal values (ny, nx) at the four corners of each face, (4, m)."""
+    here = slice(None, -1), slice(1, None)
+    return np.stack([field[y, x].reshape(-1) for y in here for x in here])
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,24 +125,24 @@ class Border:
         held = self.stiffness * (u[:, *self.nodes] - self.displacement) - self.force
         force[:, *self.nodes] += held
         for side in self.sides:
-            force[:, *side.nodes] -= side.push(u)
+            force[:, *side.nodes] += side.resistance(u)
 
-    def turning(self, u: Array) -> list[tuple[NDArray[np.intp], Array]]:
-        """The resistance of each side to turning against the pressure, for ``add_stiffness``."""
-        return [side.turning(u) for side in self.sides]
+    def side_stiffness(self, u: Array) -> list[tuple[NDArray[np.intp], Array]]:
+        """The stiffness of pressure and membrane of each side, for ``add_stiffness``."""
+        return [side.stiffness(u) for side in self.sides]
 
     def add_stiffness(
         self,
         plane: NDArray[np.floating],
         k: int,
-        turning: Sequence[tuple[NDArray[np.intp], Array]],
+        sides: Sequence[tuple[NDArray[np.intp], Array]],
     ) -> None:
         """Add the stiffness to plane k of the tangent, [y, neighbour, 3 * row + column, x]."""
         _, j, i = self.nodes
         here = self.nodes[0] == k
         for c in (0, 4, 8):
             plane[j[here], 13, c, i[here]] += self.stiffness[here]
-        for corners, blocks in turning:
+        for corners, blocks in sides:
             add_blocks(plane, k, corners, blocks)
 
 
@@ -129,6 +160,8 @@ class Surroundings:
         Cauchy stress of its elements (xx, yy, zz, yz, xz, xy), (6, nz, ny, nx), kPa.
     stiffness
         k, kPa / mm.
+    tension
+        T, mN / mm.
     extent
         x0, x1, y0, y1 of the layer, mm, of which ``grid`` may be what is near the part.
     """
@@ -137,6 +170,7 @@ class Surroundings:
     displacement: Array
     stress: Array
     stiffness: float
+    tension: float
     extent: tuple[float, float, float, float]
 
     def near(self, part: LayerGrid) -> Surroundings:
@@ -200,7 +234,8 @@ class Surroundings:
                 [[xx + pressure, xy, xz], [xy, yy + pressure, yz], [xz, yz, zz + pressure]]
             )
             index = np.unravel_index(numbers[plane], part.node_shape)
-            sides.append(CutSide((index[0], index[1], index[2]), at, pressure, sign))
+            on_side = index[0], index[1], index[2]
+            sides.append(CutSide(on_side, at, moved, pressure, sign, self.tension))
             force = np.einsum("cdkn,dkn->ckn", rows, area)
             size = np.linalg.norm(area, axis=0)
             found.append(

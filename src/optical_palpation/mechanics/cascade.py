@@ -18,30 +18,29 @@ from .contact import slip_coordinate
 from .direct import DirectSolver
 from .friction import held_fast
 from .grid import LayerGrid, contact_nodes, edge_width, face_and_sides, node_positions
-from .iteration import TOLERANCES, NotConverged, Tolerances, relaxed
+from .iteration import TOLERANCES, NotConverged, Tolerances, impatient, relaxed
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .neighbours import Neighbours
-from .newton import Balance, LinearSolver, LoadedLayer, equilibrate
+from .newton import Balance, LinearSolver, LoadedLayer, Solvers, equilibrate
 from .path import LoadNotReached, Path, StepControl
 from .problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
 
-#: How much further from balance than the last equilibrium others may be: smaller loads or coarser
-#: grids, and smaller loads on coarser grids.
-_ON_THE_WAY, _COARSE = 100.0, 1000.0
+#: How much further from balance than the last equilibrium others may be: the full load on coarser
+#: grids, and smaller loads.
+_COARSER, _ON_THE_WAY = 100.0, 1000.0
 #: The load is followed on a grid of at most this share of the finest one's elements: it must not
 #: take longer than the finest. Below the first number that is not worth while; beyond the second,
 #: where a path begins does not change the result.
 _PATH_SHARE, _PATH_ELEMENTS = 1 / 6, (3000, 16000)
 #: Elements (z, y, x) from which on a grid is made coarser along an axis.
 _HALVED = (4, 6, 6)
-#: Newton iterations in which the error of a layer carried to a finer grid must fall, and iterations
-#: of the linear solver that each may take. Where that is not enough, drag gets there sooner than
-#: more of them, each of which costs a lot on a fine grid.
-_PATIENCE, _KRYLOV = 4, 30
-#: Elements up to which an exact linear solver may take over where the iterative one gets stuck.
+#: Newton iterations after which a layer that was carried to a grid of at most so many elements, and
+#: has not come to rest, is loaded on that grid, which takes it seconds there.
+_QUICK = (30, 30_000)
+#: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 
 
@@ -162,49 +161,51 @@ def solve(
     tolerances, control = tolerances or TOLERANCES, control or StepControl()
     record: list[tuple[int, float, int]] = []
 
-    intermediate = relaxed(tolerances, _ON_THE_WAY)
-    coarse = relaxed(tolerances, _COARSE)
+    coarser_grid, on_the_way = relaxed(tolerances, _COARSER), relaxed(tolerances, _ON_THE_WAY)
 
     def wanted(level: LayerProblem) -> Tolerances:
-        return tolerances if level is problem else intermediate
+        return tolerances if level is problem else coarser_grid
 
     def balanced(level: LayerProblem, state: LayerState) -> LayerState | None:
         """Bring a state near full load into equilibrium; None where it is too far away."""
         report = partial(on_iteration, level, 1.0) if on_iteration else None
         try:
             linear = make_solver(level, solver)
-            quickly = replace(wanted(level), patience=_PATIENCE, krylov=_KRYLOV)
-            now, count = equilibrate(level, state, linear, quickly, report)
+            now, count = equilibrate(level, state, linear, impatient(wanted(level)), report)
         except NotConverged:
             return None
         record.append((level.grid.n_elements, 1.0, count))
         return now.state
 
-    def settled(level: LayerProblem, state: LayerState) -> LayerState | None:
-        """Let a loaded layer come to rest; None where it does not."""
+    def settled(level: LayerProblem, state: LayerState, allowed: int | None) -> LayerState | None:
+        """Let a loaded layer come to rest; None where it does not, or takes long."""
         report = partial(on_iteration, level) if on_iteration else None
-        layer = LoadedLayer(level, make_solver(level, solver), exact(level))
-        path = Path(layer, wanted(level), intermediate, state, control, report)
+        layer = LoadedLayer(level, solvers(level))
+        path = Path(layer, wanted(level), coarser_grid, state, control, report)
         try:
-            path.settle()
+            path.settle(allowed)
         except LoadNotReached:
             return None
         record.extend((level.grid.n_elements, *step) for step in path.record)
         return path.state
 
-    def exact(level: LayerProblem) -> Callable[[], LinearSolver] | None:
-        small = solver != "direct" and level.grid.n_elements <= _EXACT
-        return partial(make_solver, level, "direct") if small else None
+    def solvers(level: LayerProblem) -> LinearSolver | Solvers:
+        given = make_solver(level, solver)
+        if isinstance(given, DirectSolver) or level.grid.n_elements > _EXACT:
+            return given
+        return Solvers(given, make_solver(level, "direct"))
 
     state: LayerState | None = None
     coarser: tuple[LayerProblem, LayerState] | None = None
     levels = grids(problem) if cascade else [problem]
     for n in reversed(range(len(levels))):
         level = levels[n]
-        coarser = None if state is None else (levels[n + 1], state)
+        coarser, carried = None, None
+        allowed = _QUICK[0] if level.grid.n_elements <= _QUICK[1] else None
         if state is not None:
+            coarser = levels[n + 1], state
             carried = prolong(state, levels[n + 1], level)
-            state = balanced(level, carried) or settled(level, carried)
+            state = balanced(level, carried) or settled(level, carried, allowed)
         if state is None:  # the load is followed on this grid
             rest = LayerState.unloaded(level.grid)
             full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
@@ -213,19 +214,21 @@ def solve(
             beside = neighbours if few else None
             if beside:
                 beside.begin(level, rest, make_solver(level, solver))
-            layer = LoadedLayer(level, make_solver(level, solver), exact(level))
-            small = intermediate if level is problem else coarse
-            path = Path(layer, wanted(level), small, rest, control, report)
+            layer = LoadedLayer(level, solvers(level))
+            path = Path(layer, wanted(level), on_the_way, rest, control, report)
             try:
                 path.follow(full, beside=beside)
             except LoadNotReached:
                 if beside:
                     beside.stop("the load was not reached")
-                if level is problem:
+                if allowed and carried:
+                    state = settled(level, carried, None)
+                if state is None and level is problem:
                     raise
-                continue  # what a coarse grid cannot bear a finer one may
-            state = path.state
-            record += [(level.grid.n_elements, *step) for step in path.record]
+                # what a coarse grid cannot bear a finer one may
+            else:
+                state = path.state
+                record += [(level.grid.n_elements, *step) for step in path.record]
     assert state is not None  # there is at least one level
     return Solution(problem, state, record, coarser)
 

@@ -44,10 +44,12 @@ class DirectSolver:
         """Take a system whose planes have all been stored."""
         self.system = system
 
-    def solve(self, rhs: RightHandSide, tolerance: float) -> tuple[Vector, Vector, int]:
+    def solve(
+        self, rhs: RightHandSide, tolerance: float, limit: int | None = None
+    ) -> tuple[Vector, Vector, int]:
         """Return the step (du in contact coordinates, dp) and 1, the number of solves.
 
-        ``tolerance`` is not used: the solution is exact to rounding.
+        ``tolerance`` and ``limit`` are not used: the solution is exact to rounding.
         """
         system = self.system
         matrix = sparse_matrix(system.stencil, system.free)

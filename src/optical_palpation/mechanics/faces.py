@@ -96,6 +96,25 @@ def area_derivatives(surface: Array) -> Array:
     return out
 
 
+def gradient_products(surface: Array) -> Array:
+    """Integrals of the products of the gradients of shape functions over each face, (4, 4, m).
+
+    Of a bilinear surface (3, ny + 1, nx + 1), the corners as in ``area_derivatives``.
+    """
+    corners = np.stack(
+        [surface[:, :-1, :-1], surface[:, :-1, 1:], surface[:, 1:, :-1], surface[:, 1:, 1:]]
+    ).reshape(4, 3, -1)
+    out = np.zeros((4, 4, corners.shape[-1]))
+    for slope in SLOPE:
+        x, y = (np.tensordot(slope[:, d], corners, 1) for d in range(2))
+        xx, xy, yy = (x * x).sum(0), (x * y).sum(0), (y * y).sum(0)
+        area = np.sqrt(xx * yy - xy**2)
+        for a, b in np.ndindex(4, 4):
+            (ax, ay), (bx, by) = slope[a], slope[b]
+            out[a, b] += 0.25 * (ax * bx * yy - (ax * by + ay * bx) * xy + ay * by * xx) / area
+    return out
+
+
 def _cross_matrix(v: Array) -> Array:
     """The matrix of v x w, (3, 3, m), of vectors v (3, m)."""
     zero = np.zeros_like(v[0])

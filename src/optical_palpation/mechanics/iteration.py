@@ -53,6 +53,14 @@ def relaxed(tolerances: Tolerances, factor: float) -> Tolerances:
     return replace(tolerances, force=factor * tolerances.force, volume=factor * tolerances.volume)
 
 
+def impatient(tolerances: Tolerances) -> Tolerances:
+    """Return tolerances with which Newton's method gives up where drag gets there sooner.
+
+    More iterations than these, or more of the linear solver, cost a lot on a fine grid.
+    """
+    return replace(tolerances, patience=4, krylov=30)
+
+
 class Iterate(Protocol):
     """A state and how far it is from equilibrium.
 

@@ -85,11 +85,14 @@ class MultigridSolver:
         held = float((volume * self.lubrication.solve(volume)).sum()) / total
         self.rest = max(0.0, 1 / uniform - held / total)
 
-    def solve(self, rhs: RightHandSide, tolerance: float) -> tuple[Vector, Vector, int]:
+    def solve(
+        self, rhs: RightHandSide, tolerance: float, limit: int | None = None
+    ) -> tuple[Vector, Vector, int]:
         """Return the step (du in contact coordinates, dp) and the number of iterations.
 
-        ``tolerance`` is the reduction of the residual of both equations together, each pressure
-        equation weighted by (mu + gamma) / V^(1/3) to make it a force.
+        There are at most ``limit`` of these. ``tolerance`` is the reduction of the residual of both
+        equations together, each pressure equation weighted by (mu + gamma) / V^(1/3) to make it a
+        force.
         """
         f32 = np.float32
         system, free, volume, weight = self.system, self.free, self.volume, self.weight
@@ -128,7 +131,10 @@ class MultigridSolver:
             return out
 
         b0 = np.concatenate([rhs.displacement.ravel(), (weight * rhs.volume).ravel()])
-        solution, iterations = gmres(operator, precondition, b0, tolerance, longest(b0.size))
+        most = longest(b0.size) if limit is None else min(limit, longest(b0.size))
+        # a preconditioner may blow up where the layer snaps: Newton's method then tries otherwise
+        with np.errstate(over="ignore", invalid="ignore"):
+            solution, iterations = gmres(operator, precondition, b0, tolerance, most)
         u, p = split(solution)
         return with_prescribed(u, rhs.prescribed), p, iterations
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -52,11 +52,11 @@ class LinearSolver(Protocol):
         ...
 
     def solve(
-        self, rhs: RightHandSide, tolerance: float
+        self, rhs: RightHandSide, tolerance: float, limit: int | None = None
     ) -> tuple[NDArray[np.floating], NDArray[np.floating], int]:
         """Return the step (du in contact coordinates, dp) and the number of iterations.
 
-        The system is the one last assembled for this solver.
+        There are at most ``limit`` of these. The system is the one last assembled for this solver.
         """
         ...
 
@@ -65,6 +65,9 @@ class LinearSolver(Protocol):
 _PRESSURE = 4.0
 #: Steps by the tangent of another state, and the share of the imbalance that each may leave.
 _CHORDS, _NEARER = 6, 0.5
+#: Iterations of the linear solver from which on an exact one is the quicker on a small grid, and
+#: how many systems in a row it then solves.
+_LONG, _ROW = 40, 3
 
 
 @dataclass
@@ -183,7 +186,7 @@ def _direction(
     """Return where fractions of a step lead that undoes an imbalance by a tangent."""
     state = now.state
     rhs = system.right_hand_side(problem, now)
-    du, dp, krylov = solver.solve(rhs, tolerances.linear)
+    du, dp, krylov = solver.solve(rhs, tolerances.linear, tolerances.krylov)
     if not (np.isfinite(du).all() and np.isfinite(dp).all()):
         raise HardSystem("the linear system could not be solved")
     if krylov >= tolerances.krylov:
@@ -211,10 +214,35 @@ def _direction(
     return Direction(follow, krylov)
 
 
+@dataclass
+class Solvers:
+    """An iterative linear solver, and an exact one for the systems that it hardly solves.
+
+    Thin layers that stick make such systems, and layers that are about to snap. They come in rows.
+    """
+
+    iterative: LinearSolver
+    exact: LinearSolver
+    row: int = field(default=0, init=False)
+
+    def step(
+        self, problem: LayerProblem, now: Balance, tolerances: Tolerances, damping: float
+    ) -> Direction[Balance]:
+        """Return where fractions of a Newton step lead."""
+        if self.row == 0:
+            quickly = replace(tolerances, krylov=min(_LONG, tolerances.krylov))
+            try:
+                return _newton_step(problem, now, self.iterative, quickly, damping)
+            except HardSystem:
+                self.row = _ROW
+        self.row -= 1
+        return _newton_step(problem, now, self.exact, tolerances, damping)
+
+
 def equilibrate(
     problem: LayerProblem,
     state: LayerState,
-    solver: LinearSolver,
+    solver: LinearSolver | Solvers,
     tolerances: Tolerances,
     on_iteration: Callable[[int, Balance, int], None] | None = None,
     drag: Drag[LayerState] | None = None,
@@ -238,6 +266,8 @@ def equilibrate(
     least = DAMPING * _stiffness(problem)
 
     def step(now: Balance, damping: float) -> Direction[Balance]:
+        if isinstance(solver, Solvers):
+            return solver.step(problem, now, tolerances, damping)
         return _newton_step(problem, now, solver, tolerances, damping)
 
     with threads_for(problem.grid.node_shape):
@@ -253,15 +283,10 @@ def _stiffness(problem: LayerProblem) -> float:
 
 @dataclass
 class LoadedLayer:
-    """A layer on an imprint as ``Path`` loads it.
-
-    ``exact`` makes a linear solver that is exact, for where the other one is of little use: thin
-    layers that stick make linear systems which an iterative one hardly solves.
-    """
+    """A layer on an imprint as ``Path`` loads it."""
 
     problem: LayerProblem
-    solver: LinearSolver
-    exact: Callable[[], LinearSolver] | None = None
+    solver: LinearSolver | Solvers
 
     @property
     def stiffness(self) -> float:
@@ -299,16 +324,6 @@ class LoadedLayer:
         """Return the state, its reference slip laid."""
         remember_slip(self.problem, state)
         return state
-
-    @property
-    def has_exact(self) -> bool:
-        """Whether there is an exact linear solver other than the present one."""
-        return self.exact is not None
-
-    def solve_exactly(self) -> None:
-        """Go on with that."""
-        assert self.exact is not None
-        self.solver, self.exact = self.exact(), None
 
 
 def equilibrate_by(

@@ -14,15 +14,13 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .iteration import HardSystem, Iterate, NotConverged, Tolerances, met
+from .iteration import Iterate, NotConverged, Tolerances, impatient, met, relaxed
 
 Array = NDArray[np.float64]
 
 #: Newton iterations in which a load path must arrive, and bodies that are carried over to another
 #: grid come to rest; after that their load is followed on that grid.
 _FOLLOWED, _CARRIED = 250, 80
-#: Iterations of the linear solver beyond which the exact one is the quicker on a small grid.
-_KRYLOV = 40
 #: Increment of the load below which drag takes over.
 _SNAP = 0.02
 #: Snaps after which the drag stays until the full load is reached: there are always more.
@@ -36,10 +34,21 @@ _CREEP = 1e-5
 #: Drag, as a share of the contact forces, below which all is as good as at rest: at the full load,
 #: and on the way there.
 _REST = (0.03, 0.01)
+#: Drag, as a share of the contact forces, without which nothing moves any more.
+_STILL = 1e-5
 #: Share of the contact forces out of balance below which Newton's method is tried without drag.
 _NEAR = 0.1
 #: Steps in which fully loaded bodies must come to rest.
-_HELD = 120
+_HELD = 50
+#: Share of the contact forces out of balance with which a state counts as nearly one of equilibrium
+#: where contact at a few nodes changes for ever: once Newton's method fails there, and at last.
+_NEARLY = (1e-3, 0.02)
+#: How much of the last change the bound of friction follows: at first, the least and the most.
+_RELAXATION = (0.5, 0.1, 2.0)
+
+
+#: Iterations of the linear solver that a load may take: more of them cost more than a smaller one.
+_KRYLOV = 60
 
 
 class Loadable(Protocol):
@@ -120,15 +129,6 @@ class Loaded(Protocol[AnyState]):
 
     def remember(self, state: AnyState) -> AnyState:
         """Return the state from which the next load starts, its reference slip laid."""
-        ...
-
-    @property
-    def has_exact(self) -> bool:
-        """Whether there is an exact linear solver other than the present one."""
-        ...
-
-    def solve_exactly(self) -> None:
-        """Go on with that."""
         ...
 
 
@@ -238,16 +238,14 @@ class Path(Generic[AnyState]):
             exact = load == 1.0 or load in stops
             trial = self.state.towards(full if self.before is None else self.before, load)
             try:
-                now, count = self._reach(trial, self.tolerances if exact else self.intermediate)
+                wanted = self.tolerances if exact else self.intermediate
+                now, count = self._reach(trial, replace(wanted, krylov=_KRYLOV))
             except NotConverged as failure:
                 if self.spent > _FOLLOWED:
                     raise self._stopped(failure) from None
                 smaller = 0.5 * (load - start)
                 step = max(_SNAP, smaller)
                 if smaller >= _SNAP:
-                    continue
-                if self.loaded.has_exact:
-                    self.loaded.solve_exactly()
                     continue
                 if beside:
                     beside.stop(f"at {start:.0%} of the load the layer snaps or slides")
@@ -265,42 +263,53 @@ class Path(Generic[AnyState]):
                 step = min(self.control.largest, 1.5 * step)
         return kept
 
-    def settle(self) -> None:
+    def settle(self, allowed: int | None = None) -> None:
         """Let fully loaded bodies that are not in equilibrium come to rest.
 
         How they get there is no part of their history: slip goes on counting from where it did at
-        first.
+        first. With a number ``allowed`` of Newton iterations they must be there after that.
 
         Raises
         ------
         LoadNotReached
         """
-        self._creep(1.0, _SNAP, _CARRIED, moves=False)
+        self._creep(1.0, _SNAP, allowed or _CARRIED, moves=False, strict=allowed is not None)
 
     def _creep(
-        self, end: float, step: float, allowed: int, stay: bool = False, moves: bool = True
+        self,
+        end: float,
+        step: float,
+        allowed: int,
+        stay: bool = False,
+        moves: bool = True,
+        strict: bool = False,
     ) -> None:
         """Go on against drag: to a load and rest, or to next to no drag before that.
 
         Friction is bounded by the contact forces before each step (``Drag``); once the load is
-        reached, by the mean of these and the bound before: great friction at free edges would swing
+        reached, its bound follows them by ``relaxation``: great friction at free edges would swing
         with them. When they no longer change, and nothing moves, the state is one of equilibrium as
-        it stands. Newton's method, with friction bounded by what is sought, is tried again whenever
-        a tenth is left of what was out of balance. What ``moves`` slips on its way, and friction
-        remembers that.
+        it stands; where they change for ever, it may nearly be one. Newton's method, with friction
+        bounded by what is sought, is tried again whenever a tenth is left of what was out of
+        balance. What ``moves`` slips on its way, and friction remembers that.
         """
         loaded = self.loaded
-        viscosity, held, wanted, near = _VISCOSITY, 0, self.intermediate, np.inf
-        bound = loaded.contact_forces(self.state)
+        viscosity, wanted, near = _VISCOSITY, self.intermediate, np.inf
+        held, left = 0, np.inf
+        bound, change = loaded.contact_forces(self.state), None
+        part = _RELAXATION[0]
         while True:
             load = min(end, self.state.load + step)
             drag = Drag(viscosity * loaded.stiffness, self.state, bound)
             try:
-                now, count = self._reach_somehow(self.state.at_load(load), wanted, drag)
+                now, count = self._reach(self.state.at_load(load), wanted, drag)
             except NotConverged as failure:
                 viscosity *= 4.0
                 step *= 0.5
-                if viscosity > _MOST or step < _CREEP or self.spent > allowed:
+                over = viscosity > _MOST or step < _CREEP or self.spent > allowed
+                if left < _NEARLY[over]:
+                    return
+                if over:
                     raise self._stopped(failure) from None
                 continue
             forces = loaded.contact_forces(now.state)
@@ -314,17 +323,25 @@ class Path(Generic[AnyState]):
                 if share < _REST[1] and not stay:
                     return
                 continue
-            bound = [0.5 * (before + after) for before, after in zip(bound, forces, strict=True)]
+            last, change = change, [now - then for now, then in zip(forces, bound, strict=True)]
+            if last is not None:
+                part = relaxation(part, last, change)
+            pairs = zip(bound, change, strict=True)
+            bound = [np.maximum(then + part * by, 0.0) for then, by in pairs]
             rest = loaded.balance(self.state)
             if met(rest, self.tolerances):
                 return
+            wanted = self._tenth(rest.force_error)
             held += 1
-            if held > _HELD:
+            left = rest.force_error if share < _STILL and not strict else np.inf
+            if held > _HELD or (strict and self.spent > allowed):
+                if left < _NEARLY[1]:
+                    return
                 raise self._stopped(self._restless())
             if share < _REST[0] and rest.force_error < min(near, _NEAR):
-                wanted, near = self.tolerances, 0.1 * rest.force_error
+                near = 0.1 * rest.force_error
                 try:
-                    now, count = self._reach_somehow(self.state, self.tolerances)
+                    now, count = self._reach(self.state, impatient(self.tolerances))
                 except NotConverged:
                     continue
                 self._accept(now.state, count)
@@ -342,17 +359,11 @@ class Path(Generic[AnyState]):
 
         return self.loaded.equilibrate(trial, wanted, count, drag)
 
-    def _reach_somehow(
-        self, trial: AnyState, wanted: Tolerances, drag: Drag[AnyState] | None = None
-    ) -> tuple[Reached[AnyState], int]:
-        """As ``_reach``, with the exact linear solver where the iterative one takes long."""
-        if not self.loaded.has_exact:
-            return self._reach(trial, wanted, drag)
-        try:
-            return self._reach(trial, replace(wanted, krylov=_KRYLOV), drag)
-        except HardSystem:
-            self.loaded.solve_exactly()
-            return self._reach(trial, wanted, drag)
+    def _tenth(self, error: float) -> Tolerances:
+        """Tolerances for a tenth of an error, between the final and the intermediate ones."""
+        final = self.tolerances.force
+        most = self.intermediate.force / final
+        return relaxed(self.tolerances, float(np.clip(0.1 * error / final, 1.0, most)))
 
     def _force(self, drag: Drag[AnyState], state: AnyState) -> float:
         """What the drag of a step held, as a 2-norm, mN."""
@@ -375,6 +386,20 @@ class Path(Generic[AnyState]):
         if together > 0.5 * float(np.sqrt((step**2 * weights).sum())):
             return "nothing holds the layer sideways: it slides from under what presses it"
         return "the layer does not come to rest"
+
+
+def relaxation(part: float, last: Sequence[Array], change: Sequence[Array]) -> float:
+    """Which part of its change the bound of friction follows (Aitken's method).
+
+    ``change`` is what remains of ``last`` after the bound has followed ``part`` of that. A change
+    that grows leads away from an equilibrium that is not stable, and is followed as far as may be.
+    """
+    turn = [now - then for now, then in zip(change, last, strict=True)]
+    along = sum(float((then * by).sum()) for then, by in zip(last, turn, strict=True))
+    _, least, most = _RELAXATION
+    if along >= 0.0:
+        return most
+    return float(np.clip(-part * along / _norm(turn) ** 2, least, most))
 
 
 def _norm(forces: Sequence[Array]) -> float:

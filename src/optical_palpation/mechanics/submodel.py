@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .border import Surroundings
 from .cascade import Solution, make_solver, prolong
 from .grid import LayerGrid
-from .iteration import TOLERANCES, NotConverged, relaxed
+from .iteration import TOLERANCES, NotConverged, impatient, relaxed
 from .multigrid import coarse_nodes
 from .newton import Balance, LoadedLayer, equilibrate
 from .path import LoadNotReached, Path
@@ -24,6 +24,8 @@ Report = Callable[[LayerProblem, float, int, Balance, int], None]
 
 #: Stiffness of what is around the part, in shear moduli per thickness.
 _STIFFNESS = 4.0
+#: Tension of the membrane on its cut sides, in shear moduli times thickness.
+_TENSION = 0.5
 #: Elements that much finer than those of the whole are reached in more than one step.
 _STEP = 3.0
 #: How much further from equilibrium the part may be left on coarser elements.
@@ -47,11 +49,13 @@ def part_of(
     bounds
         x0, x1, y0, y1 of the part in the unloaded layer, mm; widened to whole elements.
     """
+    thickness = float(np.median(coarse.grid.thickness))
     surroundings = Surroundings(
         coarse.grid,
         state.u,
         coarse.body.stress(state.u, state.p),
-        _STIFFNESS * coarse.shear_modulus / float(np.median(coarse.grid.thickness)),
+        _STIFFNESS * coarse.shear_modulus / thickness,
+        _TENSION * coarse.shear_modulus * thickness,
         (coarse.grid.x[0], coarse.grid.x[-1], coarse.grid.y[0], coarse.grid.y[-1]),
     )
     grid = _cut(fine.grid, bounds)
@@ -134,7 +138,7 @@ def _at_rest(
     report = partial(on_iteration, level) if on_iteration else None
     try:
         at_load = partial(report, 1.0) if report else None
-        now, count = equilibrate(level, state, linear, wanted, at_load)
+        now, count = equilibrate(level, state, linear, impatient(wanted), at_load)
     except NotConverged:
         path = Path(LoadedLayer(level, linear), wanted, loose, state, report=report)
         path.settle()
@@ -179,4 +183,4 @@ def _coarsened(problem: LayerProblem) -> LayerProblem:
     return problem.on_grid(LayerGrid(x, y, z, unloaded), imprint)
 
 
-__all__ = ["LoadNotReached", "part_of", "solve_part"]
+__all__ = ["Bounds", "LoadNotReached", "part_of", "solve_part"]

@@ -172,14 +172,14 @@ def assemble(
     # A trace of lateral stiffness in the tangent alone takes the rigid motions out of a layer
     # that nothing holds sideways; it does not enter the residual.
     hold = 1e-6 * problem.shear_modulus * grid.spacing[0]
-    turning = [] if problem.border is None else problem.border.turning(now.state.u)
+    sides = [] if problem.border is None else problem.border.side_stiffness(now.state.u)
     planes = problem.body.tangent_planes(now.state.u, now.state.p, solver.gamma, divergence)
     for k, plane in enumerate(planes):
         diagonal = plane[:, 13, :, :nx1]
         if damping > 0:
             diagonal[:, [0, 4, 8]] += (damping * grid.node_volumes[k])[:, None]
         if problem.border is not None:
-            problem.border.add_stiffness(plane, k, turning)
+            problem.border.add_stiffness(plane, k, sides)
         now.sides.add_stiffness(plane, k)
         if k == 0 or k >= nz1 - 2:  # the face of the sample has neighbours in the plane below it
             _to_contact_frame(plane, k, nz1, contact.row, contact.column, contact.turning)

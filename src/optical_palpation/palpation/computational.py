@@ -17,7 +17,7 @@ from optical_palpation.arguments import check_instance
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
-from optical_palpation.mechanics.iteration import TOLERANCES, Iterate
+from optical_palpation.mechanics.iteration import TOLERANCES, Iterate, met
 from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.side_contact import side_contact
@@ -38,7 +38,7 @@ from optical_palpation.palpation.meshing import (
 from optical_palpation.palpation.motion import match_sample_motion
 from optical_palpation.palpation.plausibility import check_elements, unusual
 from optical_palpation.palpation.progress import Iterations, Progress
-from optical_palpation.palpation.result import StressResult
+from optical_palpation.palpation.result import Status, StressResult
 from optical_palpation.palpation.sensitivity import changes, sensitivities
 from optical_palpation.palpation.surface import axial_stress_map, deformed_layer, surface_maps
 from optical_palpation.palpation.threads import limited_threads
@@ -185,6 +185,8 @@ def computational_stress(
     motion = None if sample_motion is None else match_sample_motion(sample_motion, loaded)
     algebraic = algebraic_stress(loaded, initial, material, glued=glued["sample"])
     slip_length = _slip_length(slip_length, float(initial.median()))
+    if input_errors is not None:
+        input_errors.check_thickness(float(initial.median()))
     sizes = element_sizes(element_size, loaded, float(initial.median()))
     smoothing = 0.5 * float(np.sqrt(sizes[0] * sizes[1]))
     if imprint_smoothing is not None:
@@ -389,7 +391,7 @@ def outcome(solution: Solution, now: Balance) -> dict[str, Any]:
 def residuals(now: Iterate) -> dict[str, Any]:
     """Attributes that say how near to equilibrium a solution is, of one body or of two."""
     return {
-        "status": "converged",
+        "status": str(Status.CONVERGED if met(now, TOLERANCES) else Status.NEARLY),
         "force_residual": now.force_error,
         "force_tolerance": TOLERANCES.force,
         "volume_residual": now.volume_error,

@@ -11,6 +11,8 @@ import xarray as xr
 
 from optical_palpation.errors import InputError
 
+#: Largest coefficient of friction that an interface has.
+_FRICTION = 2.0
 #: Inputs that there are only with the sample in the model.
 OF_SAMPLE = ("plate_friction", "compression", "sample_thickness", "total_force")
 
@@ -89,10 +91,37 @@ class InputErrors:
         for name, value in asdict(self).items():
             if not (isinstance(value, int | float) and 0 <= value < np.inf):
                 raise InputError(f"error of {name}: a number of at least 0, not {value!r}")
-        for name in ("compression", "sample_thickness", "total_force"):
+        for name in ("modulus", "compression", "sample_thickness", "total_force"):
             if getattr(self, name) >= 1:
                 raise InputError(
-                    f"error of {name}: a fraction of it below 1, not {getattr(self, name)!r}"
+                    f"error of {name}: a fraction of it below 1, not {getattr(self, name)!r}; 5 % "
+                    "is 0.05"
+                )
+        for name in ("window_friction", "sample_friction", "plate_friction"):
+            if (value := getattr(self, name)) > _FRICTION:
+                raise InputError(
+                    f"error of {name}: no interface has a coefficient above {_FRICTION:g}, nor an "
+                    f"error of {value!r}"
+                )
+
+    def check_thickness(self, thickness: float) -> None:
+        """Refuse errors of a thickness that leave nothing of it.
+
+        Parameters
+        ----------
+        thickness
+            Of the layer, mm, or a bound of it.
+
+        Raises
+        ------
+        InputError
+            Naming the error.
+        """
+        for name in ("thickness", "initial_thickness"):
+            if (error := getattr(self, name)) >= 0.5 * thickness:
+                raise InputError(
+                    f"error of {name}: {error:g} mm is half of the layer, {thickness:.3g} mm, or "
+                    "more; it is in mm: divide by 1000 if it is in um"
                 )
 
 

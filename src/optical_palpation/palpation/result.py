@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,6 +28,14 @@ class ContactState(IntEnum):
     SLIP = 1
     STICK = 2
     GLUED = 3
+
+
+class Status(StrEnum):
+    """How a solution ended, as the attribute ``status`` says; of tiles, the worst of them."""
+
+    CONVERGED = "converged"
+    NEARLY = "nearly converged"
+    INCOMPLETE = "incomplete"
 
 
 @dataclass(frozen=True, repr=False)

@@ -12,7 +12,8 @@ import xarray as xr
 from optical_palpation.arguments import check_instance
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.mechanics.path import LoadNotReached
-from optical_palpation.mechanics.submodel import part_of, solve_part
+from optical_palpation.mechanics.problem import LayerProblem, LayerState
+from optical_palpation.mechanics.submodel import Bounds, part_of, solve_part
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.computational import checked, element_sizes, outcome
 from optical_palpation.palpation.memory import check_memory
@@ -109,15 +110,17 @@ def submodel_stress(
         )
     if whole.imprint.motion is not None:
         fine = replace(fine, imprint=replace(imprint, motion=whole.imprint.motion))
+    inner = _before_load(whole, state, (x0, x1, y0, y1))
     wide, near = (
-        (x0 - width, x1 + width, y0 - width, y1 + width) for width in (margin, 0.5 * margin)
+        (inner[0] - width, inner[1] + width, inner[2] - width, inner[3] + width)
+        for width in (margin, 0.5 * margin)
     )
     part = part_of(fine, whole, state, wide)
     check_memory(part)
     report = Iterations(progress)
     try:
         with limited_threads(threads):
-            solution, error = solve_part(part, whole, state, (x0, x1, y0, y1), near, report)
+            solution, error = solve_part(part, whole, state, inner, near, report)
     except LoadNotReached as failure:
         raise ConvergenceError(
             f"the part around x {x0:g} to {x1:g}, y {y0:g} to {y1:g} mm finds no equilibrium: "
@@ -150,6 +153,31 @@ def submodel_stress(
         "submodel_change": change,
     }
     return StressResult(maps, layer, part, solution.state)
+
+
+def _before_load(whole: LayerProblem, state: LayerState, region: Bounds) -> Bounds:
+    """Where what is in a region under load lies in the unloaded layer: x0, x1, y0, y1, mm."""
+    grid = whole.grid
+    moved = state.u[:2, -1]
+    place = grid.nodes[:2, -1] + moved
+    element = 1.01 * max(float(np.diff(at, axis=1 - axis).max()) for axis, at in enumerate(place))
+    sides = np.reshape(region, (2, 2))
+    near = np.all(
+        [
+            (at > low - element) & (at < high + element)
+            for at, (low, high) in zip(place, sides, strict=True)
+        ],
+        axis=0,
+    )
+    found = []
+    for at, by, nodes, both in zip(place, moved, (grid.x, grid.y), sides, strict=True):
+        for end, border, side in zip((0, 1), (nodes[0], nodes[-1]), both, strict=True):
+            here = by[near & (np.abs(at - side) < element)]
+            if here.size and np.abs(side - border) > 1e-6 * (nodes[-1] - nodes[0]):
+                found.append(float(side - (here.min() if end else here.max())))
+            else:  # the layer ends there, or has moved in from there
+                found.append(float(border))
+    return found[0], found[1], found[2], found[3]
 
 
 @dataclass(frozen=True, eq=False)

@@ -194,6 +194,17 @@ class Model:
         LoadNotReached
             Also where a sample of such a relief would not be touched.
         """
+        levels, stops = self.stacks(sought)
+        return [Pressed(levels[-1], state) for state in solve(levels, report, stops).stops]
+
+    def stacks(self, sought: Sought) -> tuple[list[Stack], list[float]]:
+        """What is pressed, on all meshes from the coarsest on, and the loads of the travels.
+
+        Raises
+        ------
+        LoadNotReached
+            Where a sample of such a relief would not be touched.
+        """
         levels, met = self.levels, [0.0] * len(self.levels)
         if sought.relief is not None:
             mean = float(sought.relief.mean())
@@ -212,9 +223,7 @@ class Model:
             for level, (by_y, by_x), before in zip(levels, self._means, met, strict=True)
         ]
         full = sought.travels[-1] + met[-1]
-        stops = [*((travel + met[-1]) / full for travel in sought.travels[:-1]), 1.0]
-        stack = of_sample[-1]
-        return [Pressed(stack, state) for state in solve(of_sample, report, stops).stops]
+        return of_sample, [*((travel + met[-1]) / full for travel in sought.travels[:-1]), 1.0]
 
 
 def _on_nodes(forces: Array, number: NDArray[np.intp]) -> Array:

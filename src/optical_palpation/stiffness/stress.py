@@ -20,9 +20,10 @@ from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law, NeoHookean
 from optical_palpation.mechanics.grid import node_positions
 from optical_palpation.mechanics.path import LoadNotReached
-from optical_palpation.mechanics.stack.assembly import Blocks, Mesh
+from optical_palpation.mechanics.stack.assembly import Blocks, Mesh, count_elements
 from optical_palpation.palpation.computational import computational_stress
 from optical_palpation.palpation.input_errors import INPUT_ERRORS, InputErrors
+from optical_palpation.palpation.memory import check_stack_memory
 from optical_palpation.palpation.plausibility import check_elements
 from optical_palpation.palpation.progress import Progress
 from optical_palpation.palpation.result import StressResult
@@ -124,6 +125,8 @@ def sample_stress(
         raise InputError(f"smoothing must be a positive number, not {smoothing!r}")
     x0, x1, y0, y1 = extent = layer_extent_of(loads[-1])
     thickness = float(initial.median())
+    if input_errors is not None:
+        input_errors.check_thickness(thickness)
     check_elements(element_size, (x1 - x0, y1 - y0), thickness, "the thickness of the layer")
     blocks = Blocks(
         extent=extent,
@@ -136,6 +139,7 @@ def sample_stress(
         friction=(window_friction, sample_friction, sample.plate_friction),
         travel=0.0 if sample.travels is None else sample.travels[-1],
     )
+    check_stack_memory(blocks, Mesh(element_size))
     columns = _columns(blocks, element_size)
     if progress:
         progress(Progress("preparing", 0.0, 0, "the first run compiles for up to a minute"))
@@ -201,12 +205,11 @@ def _columns(blocks: Blocks, size: float) -> Columns:
 
 def _models(blocks: Blocks, mesh: Mesh, columns: Columns, thickness: float) -> tuple[Model, Model]:
     """The model on the finest mesh and on a coarse one, for sensitivities."""
-    fine, factor = Model(blocks, mesh, columns), _COARSER
-    coarse = Model(blocks, mesh.coarser(factor, thickness), columns)
-    while coarse.levels[-1].n_elements > _COARSE_ELEMENTS:
+    factor = _COARSER
+    while count_elements(blocks, mesh.coarser(factor, thickness)) > _COARSE_ELEMENTS:
         factor *= 1.1
-        coarse = Model(blocks, mesh.coarser(factor, thickness), columns)
-    return fine, coarse
+    coarser = mesh.coarser(factor, thickness)
+    return Model(blocks, mesh, columns), Model(blocks, coarser, columns)
 
 
 def _start(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from .problem import WINDOW, Stack, column_forces
 from .projection import Interface, Plane
 
 Array = NDArray[np.float64]
+Axes = tuple[Array, Array, Array]
 Field = Callable[[Array, Array], Array]
 
 #: Points for each element at which the highest one is sought.
@@ -71,6 +73,12 @@ class Blocks:
     friction: tuple[float, float, float]
     travel: float
 
+    @property
+    def layer_size(self) -> tuple[float, float]:
+        """Width of the layer along x and y, mm."""
+        x0, x1, y0, y1 = self.extent
+        return x1 - x0, y1 - y0
+
 
 def assemble(
     blocks: Blocks, mesh: Mesh, stiffness: Callable[[LayerGrid], Array] | None = None
@@ -82,19 +90,10 @@ def assemble(
     InputError
         If the elements are too large, or the relief leaves next to nothing of the sample.
     """
-    x0, x1, y0, y1 = blocks.extent
-    lateral = [
-        _lateral(length, own, mesh.size, mesh.edge, axis)
-        for length, own, axis in zip((x1 - x0, y1 - y0), blocks.sample_size, "xy", strict=True)
-    ]
-    (layer_x, sample_x), (layer_y, sample_y) = (
-        (start + a, start + b) for start, (a, b) in zip((x0, y0), lateral, strict=True)
-    )
-
+    (layer_depth, layer_y, layer_x), (depth, sample_y, sample_x) = _node_axes(blocks, mesh)
     unloaded = blocks.thickness(*np.meshgrid(layer_x, layer_y))
     typical = float(np.median(unloaded))
-    count = mesh.layers or max(3, round(typical / mesh.size))
-    layer_grid = LayerGrid(layer_x, layer_y, np.linspace(0, 1, count + 1), unloaded)
+    layer_grid = LayerGrid(layer_x, layer_y, layer_depth, unloaded)
     layer = Body(layer_grid, blocks.law)
 
     at = np.meshgrid(sample_x, sample_y)
@@ -110,7 +109,6 @@ def assemble(
             f"sample: the relief reaches down to {(plate - top).min():.3g} mm above the plate; "
             f"make the sample thicker than {blocks.sample_thickness:g} mm or the relief flatter"
         )
-    depth = _graded(blocks.sample_thickness, typical / count, mesh.growth)
     sample_grid = LayerGrid(sample_x, sample_y, depth, plate - top)
     factors = stiffness(sample_grid) if stiffness else np.ones(sample_grid.shape)
     sample = Body(sample_grid, blocks.sample_law, factors, top)
@@ -121,7 +119,7 @@ def assemble(
     # ones the layer's, as it is held by the window.
     if any(
         own < length * (1 - 1e-9)
-        for own, length in zip(blocks.sample_size, (x1 - x0, y1 - y0), strict=True)
+        for own, length in zip(blocks.sample_size, blocks.layer_size, strict=True)
     ):
         slave, master, side = sample_grid, layer_grid, 1.0
         faces = below[0], number[-1]
@@ -166,6 +164,33 @@ def assemble(
         for sides in stack.sides
     )
     return replace(stack, sides=(on_layer, on_sample))
+
+
+def count_elements(blocks: Blocks, mesh: Mesh) -> int:
+    """Elements that layer and sample will have.
+
+    Raises
+    ------
+    InputError
+        If the elements are too large.
+    """
+    return sum(prod(len(nodes) - 1 for nodes in axes) for axes in _node_axes(blocks, mesh))
+
+
+def _node_axes(blocks: Blocks, mesh: Mesh) -> tuple[Axes, Axes]:
+    """Nodes of layer and sample along z, as fractions of their thickness, y and x, mm."""
+    x0, _, y0, _ = blocks.extent
+    lateral = [
+        _lateral(length, own, mesh.size, mesh.edge, axis)
+        for length, own, axis in zip(blocks.layer_size, blocks.sample_size, "xy", strict=True)
+    ]
+    (layer_x, sample_x), (layer_y, sample_y) = (
+        (start + a, start + b) for start, (a, b) in zip((x0, y0), lateral, strict=True)
+    )
+    typical = float(np.median(blocks.thickness(*np.meshgrid(layer_x, layer_y))))
+    count = mesh.layers or max(3, round(typical / mesh.size))
+    depth = _graded(blocks.sample_thickness, typical / count, mesh.growth)
+    return (np.linspace(0, 1, count + 1), layer_y, layer_x), (depth, sample_y, sample_x)
 
 
 def _lateral(

@@ -282,12 +282,3 @@ class LoadedStack:
             )
         )
         return replace(state, contacts=contacts, sides=(layer, sample))
-
-    @property
-    def has_exact(self) -> bool:
-        """Whether there is an exact linear solver other than the present one."""
-        return False
-
-    def solve_exactly(self) -> None:
-        """Go on with that."""
-        raise NotImplementedError("there is no exact linear solver of a stack")
