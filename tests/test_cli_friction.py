@@ -146,7 +146,7 @@ CURVES = ["--calibration", "CURVES"]
         (["profile.csv", *CURVES, "--depth-in-mm", *PRELOAD[:3], 0.8], "region of 1.6"),
         (["before.npy", "profile.csv", *VOLUMES, *FACES, *OPTICS, *CURVES], "profile.csv"),
         (["before.npy", "short.npy", *VOLUMES, *FACES, *OPTICS, *CURVES], "alike"),
-        (["before.npy", "after.npy", *FACES, *OPTICS, *CURVES], "axes="),
+        (["before.npy", "after.npy", *FACES, *OPTICS, *CURVES], "axes ("),
         (["before.npy", "after.npy", *VOLUMES, *FACES, *OPTICS, *CURVES, "--region", 5], "2.2"),
         (["real.npy", "real.npy", *VOLUMES, *FACES, *OPTICS, *CURVES, "--region", 1.6], "complex"),
         (["profile.csv", "--depth-in-mm", *LAYER, *PRELOAD, "--coefficients", "a,b"], "'a,b'"),

@@ -302,7 +302,7 @@ def ome_that_names_other_files(folder: Path) -> tuple[Path, dict[str, Any], str]
         metadata=None,
         photometric="minisblack",
     )
-    return folder / "a.ome.tif", {"scale": "dB"}, r"spacing= \(mm along z, y, x\)"
+    return folder / "a.ome.tif", {"scale": "dB"}, r"spacing \(mm along z, y, x\)"
 
 
 def nifti(**fields: Any) -> bytes:

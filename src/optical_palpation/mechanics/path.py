@@ -45,8 +45,6 @@ _HELD = 50
 _NEARLY = (1e-3, 0.02)
 #: How much of the last change the bound of friction follows: at first, the least and the most.
 _RELAXATION = (0.5, 0.1, 2.0)
-
-
 #: Iterations of the linear solver that a load may take: more of them cost more than a smaller one.
 _KRYLOV = 60
 
@@ -326,6 +324,8 @@ class Path(Generic[AnyState]):
             last, change = change, [now - then for now, then in zip(forces, bound, strict=True)]
             if last is not None:
                 part = relaxation(part, last, change)
+                if moves:  # slip by too low a bound would be remembered
+                    part = min(part, 1.0)
             pairs = zip(bound, change, strict=True)
             bound = [np.maximum(then + part * by, 0.0) for then, by in pairs]
             rest = loaded.balance(self.state)

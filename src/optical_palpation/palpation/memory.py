@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from math import ceil, floor, log10
 from pathlib import Path
-
-import numpy as np
 
 from optical_palpation.errors import InputError, InsufficientMemoryError
 from optical_palpation.mechanics.krylov import KEPT
@@ -127,11 +126,9 @@ def check_stack_memory(blocks: Blocks, mesh: Mesh) -> None:
     InputError
         If the elements are too large.
     """
-    x0, x1, y0, y1 = blocks.extent
-    thickness = float(np.median(blocks.thickness(*np.meshgrid([x0, x1], [y0, y1]))))
 
     def elements(factor: float) -> int:
-        return count_elements(blocks, mesh if factor == 1 else mesh.coarser(factor, thickness))
+        return count_elements(blocks, replace(mesh, size=factor * mesh.size))
 
     def advice(factor: float) -> str:
         return f"an element size of {_rounded_up(factor * mesh.size):.2g} mm would fit"
