@@ -46,7 +46,7 @@ def test_algebraic_method_end_to_end(here, run):
     xr.testing.assert_allclose(maps["axial_stress"], expected, rtol=1e-12)
     assert maps["axial_stress"].attrs["units"] == "kPa"
     np.testing.assert_allclose(maps["x"], np.linspace(0, 2, 17))
-    assert f"mean {float(expected.mean()):.3f} kPa" in out
+    assert f"mean {float(expected.mean()):.3g} kPa" in out
 
 
 @pytest.mark.parametrize("law", ["yeoh", "ogden"])
@@ -96,7 +96,9 @@ def test_computational_method_end_to_end(here, run):
         assert expected <= set(maps.data_vars)
         assert {maps[name].dims for name in expected} == {("y", "x")}
         assert maps.attrs["window_force_mN"] == pytest.approx(maps.attrs["sample_force_mN"], 1e-4)
-        assert f"window {maps.attrs['window_force_mN']:.1f} mN" in out
+        said = re.search("window ([0-9.]+) \u00b1 ([0-9.]+) mN", out)
+        off = float(said[1]) - maps.attrs["window_force_mN"]
+        assert abs(off) <= 0.06 * float(said[2])  # to two digits of the error
         assert maps.attrs["input"] == "map.npy"
         sample_force = maps.attrs["sample_force_mN"]
     # Traction times deformed area of the sample side, quadrilateral by quadrilateral.
@@ -157,7 +159,7 @@ def test_demo(here, run):
         "unloaded.npy",
     }
     maps = read_result(folder / "results/stress.nc").maps
-    assert f"window {maps.attrs['window_force_mN']:.1f} mN" in out
+    assert f"window {maps.attrs['window_force_mN']:.0f} \u00b1 " in out
     thickness, computational, algebraic = re.search(
         r"off by ([\d.]+) um.*?by (\d+)%.*?and (\d+)%", out, re.S
     ).groups()
@@ -183,7 +185,7 @@ def test_missing_pixels_and_spikes_are_filled_and_reported(here, run):
     np.save("holes.npy", values)
     status, out, _ = run("stress", "holes.npy", *FRAME, *ALGEBRAIC, "--output", "o.nc")
     assert status == 0
-    assert "interpolated pixels: 0.90%" in out
+    assert "interpolated pixels: 0.9 % of the map (missing 0.45 %, spikes 0.45 %)" in out
     filled = read_result("o.nc").maps["filled"].values
     assert np.argwhere(filled).tolist() == [[3, 4], [8, 9]]
 
@@ -194,7 +196,7 @@ def test_where_the_layer_is_not_thinner_there_is_no_contact(here, run):
     np.save("gap.npy", values)
     status, out, _ = run("stress", "gap.npy", *FRAME, *ALGEBRAIC, "--output", "o.nc")
     assert status == 0
-    assert f"taken as open: {4 / 17:.2%} of the map" in out
+    assert "taken as open: 24 % of the map" in out
     maps = read_result("o.nc").maps
     assert (maps["axial_stress"][:, :4] == 0).all()
     assert "contact" not in out.replace("taken as open", "")
@@ -207,7 +209,7 @@ def test_the_computational_method_reports_where_the_layer_is_not_thinner(here, r
     np.save("tilt.npy", np.linspace(0.44, 0.519, 17) * np.ones((13, 1)))
     status, out, _ = run("stress", "tilt.npy", *FRAME, *COMPUTATIONAL, "--output", "o.nc")
     assert status == 0
-    assert f"taken as open: {4 / 17:.2%} of the map" in out
+    assert "taken as open: 24 % of the map" in out
     state = read_result("o.nc").maps["contact_state"]
     assert (state.sel(x=slice(1.8, 2)) == ContactState.OPEN).all()
     assert (state.sel(x=slice(0.3, 1)) != ContactState.OPEN).all()

@@ -1266,3 +1266,44 @@ def test_a_deep_volume_keeps_its_resolution_at_the_layer(tmp_path):
     assert top + depth > float(found["sample_depth"].max()) + 0.1
     assert picture.size[1] < nz / 4
     assert left == pytest.approx(X0 - DX / 2)
+
+
+def test_percentages_keep_what_is_left_and_say_next_to_nothing():
+    from optical_palpation.present import percent
+
+    assert percent(0.0273) == "2.7 %"
+    assert percent(0.183) == "18 %"
+    assert percent(0.99815) == "99.8 %"
+    assert percent(1.0) == "100 %"
+    assert percent(0) == "0 %"
+    assert percent(3e-9) == "below 0.001 %"
+
+
+def test_summary_and_report_give_the_same_figures_to_the_same_digits():
+    from optical_palpation.present import summarise
+    from optical_palpation.present.report.content import force_rows, stress_rows
+
+    x = np.linspace(0, 2, 5)
+    stress = xr.DataArray(np.full((5, 5), -4.5273), dims=("y", "x"), coords={"y": x, "x": x})
+    maps = xr.Dataset(
+        {
+            "axial_stress": stress,
+            "algebraic_axial_stress": 0.6 * stress,
+            "axial_stress_error": 0 * stress + 0.8666,
+            "contact_pressure": -stress,
+            "loaded_thickness": 0 * stress + 0.4,
+        },
+        attrs={
+            "window_force_mN": 78.91,
+            "sample_force_mN": 78.93,
+            "force_error_mN": 14.51,
+            "error_bands": "{}",
+        },
+    )
+    text = summarise(StressResult(maps))
+    assert "total force: window 79 \u00b1 15 mN, sample 79 \u00b1 15 mN" in text
+    assert "computational: mean -4.53 \u00b1 0.87 kPa" in text
+    assert "interpolated" not in text
+    rows = dict(force_rows(StressResult(maps)))
+    assert rows["Force on the window"] == "79 \u00b1 15 mN"
+    assert stress_rows(StressResult(maps))[0] == ("Mean", "\u22122.72", "\u22124.53 \u00b1 0.87")

@@ -375,7 +375,7 @@ def test_thickness_of_a_volume_and_the_stress_of_it(here, run):
         *("--c01", "0.703", "--method", "algebraic", "--output", "stress.nc"),
     )
     assert status == 0
-    assert f"interpolated pixels: {missing.mean():.2%}" in out
+    assert f"interpolated pixels: {100 * missing.mean():.2g} %" in out
     assert run("run", "study.toml", "--quiet")[0] == 0
     by_study = read_result("study-results/algebraic.nc").maps
     by_hand = read_result("stress.nc").maps

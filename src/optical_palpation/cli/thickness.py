@@ -49,11 +49,11 @@ def thickness(
     ] = None,
     variable: Annotated[
         str | None,
-        typer.Option(metavar="TEXT", help="Name of the array, where a file holds several."),
+        typer.Option(metavar="NAME", help="Name of the array, where a file holds several."),
     ] = None,
     axes: Annotated[
         str | None,
-        typer.Option(metavar="TEXT", help="Order of the axes, slowest first, such as yzx."),
+        typer.Option(metavar="AXES", help="Order of the axes, slowest first, such as yzx."),
     ] = None,
     spacing: Annotated[
         tuple[float, float, float] | None,
@@ -124,7 +124,7 @@ def thickness(
     measured = found["thickness"].values[~found["filled"].values]
     print(
         f"thickness: {measured.min():.4g} to {measured.max():.4g} mm, mean {measured.mean():.4g} mm"
-        f"\ninterpolated pixels: {found.attrs['filled_share']:.2%}"
+        f"\ninterpolated pixels: {present.percent(found.attrs['filled_share'])}"
         f"\nmedian quality: {float(found['quality'].median()):.2f}"
     )
     print_files(wanted)

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.present.figure import figure_file, letter
+from optical_palpation.present.terms import percent
 from optical_palpation.thickness.intensity import intensity_reader
 
 if TYPE_CHECKING:
@@ -42,9 +43,10 @@ def _draw(figure: Figure, found: xr.Dataset, volume: Volume) -> None:
     (left, right), (middle, worst) = figure.subplots(2, 2)
     rows = {"middle B-scan": found.sizes["y"] // 2}
     rows["B-scan of the lowest quality"] = int(np.argmin(found["quality"].mean("x").values))
-    share = float(found["filled"].mean())
+    filled = float(found["filled"].mean())
+    interpolated = f", {percent(filled)} interpolated" if filled else ""
     for axes, name, title in (
-        (left, "thickness", f"Thickness of the layer (mm), {share:.2%} interpolated"),
+        (left, "thickness", f"Thickness of the layer (mm){interpolated}"),
         (right, "quality", f"Quality, median {float(found['quality'].median()):.2f}"),
     ):
         if found.sizes["y"] > 1:
@@ -62,8 +64,12 @@ def _draw(figure: Figure, found: xr.Dataset, volume: Volume) -> None:
         axes.set_title(
             f"{name[0].upper()}{name[1:]} ({line}), y = {float(found['y'][y]):.4g} mm", loc="left"
         )
-    handles, labels = middle.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    lines = {
+        label: handle
+        for axes in (middle, worst)
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(lines.values(), lines.keys(), loc="outside lower center", ncols=3)
     letter([left, right, middle, worst])
 
 
@@ -93,8 +99,9 @@ def _bscan(axes: Axes, line: xr.Dataset, intensity: NDArray[np.float32], volume:
     for name, colour in (("window", _WINDOW), ("sample", _SAMPLE)):
         boundary = line[f"{name}_depth"].values
         axes.plot(line["x"], boundary, color=colour, lw=1.2, label=f"{name} side")
-    made_up = np.where(filled, line["sample_depth"].values, np.nan)
-    axes.plot(line["x"], made_up, color=_FILLED, lw=2.5, label="interpolated")
+    if filled.any():
+        made_up = np.where(filled, line["sample_depth"].values, np.nan)
+        axes.plot(line["x"], made_up, color=_FILLED, lw=2.5, label="interpolated")
     deepest = float(line["sample_depth"].max() + line["thickness"].mean())
     axes.set(xlabel="x (mm)", ylabel="depth (mm)", ylim=(min(depth[-1], deepest), depth[0]))
 

@@ -10,7 +10,7 @@ import xarray as xr
 
 from optical_palpation.present.figure import draw_map, figure_file, letter
 from optical_palpation.present.output import atomic
-from optical_palpation.present.terms import DIFFERENCE, Term, common_limits, term
+from optical_palpation.present.terms import DIFFERENCE, Term, common_limits, percent, term
 
 _LONGEST = 22  # letters of a name that a panel has room for
 
@@ -76,12 +76,12 @@ def comparison_in_words(comparison: xr.Dataset) -> str:
         whole, inner = row.sel(zone="all"), row.sel(zone="interior")
         parts = [
             f"rms difference {float(whole['rms']):.3g} {units} "
-            f"({float(whole['relative_rms']):.2%}; interior {float(inner['relative_rms']):.2%})",
+            f"({percent(whole['relative_rms'])}; interior {percent(inner['relative_rms'])})",
             f"mean {float(whole['bias']):+.3g} {units}",
             f"largest {float(whole['largest']):.3g} {units}",
         ]
         if "within_error" in row and np.isfinite(row["within_error"]):
-            parts.append(f"{float(row['within_error']):.1%} of the map within the error")
+            parts.append(f"{percent(row['within_error'])} of the map within the error")
         y, x = row["shift"].values
         if x or y:
             parts.append(f"shifted by x {-x:+.3g} and y {-y:+.3g} mm")

@@ -18,7 +18,7 @@ from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic, provenance
 from optical_palpation.present.profiles import on_layer
-from optical_palpation.present.terms import STATES, Term, common_limits, is_map, term
+from optical_palpation.present.terms import STATES, Term, common_limits, is_map, percent, term
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -231,7 +231,7 @@ def draw_map(
             bar = figure.colorbar(mesh, ax=axes, fraction=0.05, ticks=range(len(named)))
             shares = [float(np.mean(values == k)) for k in range(len(named))]
             rows = zip(named, shares, strict=True)
-            bar.ax.set_yticklabels([f"{name}\n{share:.1%}" for name, share in rows])
+            bar.ax.set_yticklabels([f"{name}\n{percent(share)}" for name, share in rows])
             bar.ax.tick_params(length=0)
         else:
             seen = values[np.isfinite(values)]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.arguments import file_path
+from optical_palpation.arguments import explained, file_path
 from optical_palpation.errors import InputError
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic, provenance
@@ -90,6 +90,7 @@ def write_result(result: StressResult, path: str | Path) -> None:
         temporary.write_bytes(content)
 
 
+@explained
 def read_result(path: str | Path) -> StressResult:
     """Read back what :func:`write_result` wrote.
 

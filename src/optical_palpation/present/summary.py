@@ -13,6 +13,7 @@ from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.plausibility import SOFT_SAMPLE
 from optical_palpation.palpation.result import ContactState, Status, StressResult
 from optical_palpation.present.profiles import on_layer
+from optical_palpation.present.terms import percent, plain, rounded
 
 # Percent; an incompressible layer that is free to spread stays far below.
 _NOTABLE_VOLUME_CHANGE = 1.0
@@ -32,7 +33,7 @@ def equilibrium(attrs: Mapping[Hashable, Any]) -> str:
         f"{attrs['smallest_volume_ratio']:.2f}"
     )
     if attrs["sides_force_share"] > _NOTABLE_SIDES:
-        text += f", sides carry {attrs['sides_force_share']:.1%} of the force"
+        text += f", sides carry {percent(attrs['sides_force_share'])} of the force"
     return text
 
 
@@ -49,9 +50,11 @@ def edge_influence(attrs: Mapping[Hashable, Any], always: bool = False) -> str:
     if not always and fraction < NOTABLE_FRACTION and abs(force) < NOTABLE:
         return ""
     given = f"taken as {attrs['edges']}; " if "edges" in attrs else ""
+    where = "everywhere" if fraction == 1.0 else f"on {percent(fraction)} of the map"
+    change = "rise" if force > 0 else "fall"
     return (
         f"{given}were they {attrs['edge_influence_other']}, the pressure would change by more than "
-        f"{NOTABLE:.0%} on {fraction:.0%} of the map, and the force by {force:+.1%}"
+        f"{percent(NOTABLE)} {where}, and the force {change} by {percent(abs(force))}"
     )
 
 
@@ -89,10 +92,59 @@ def mean_stress_error(maps: xr.Dataset) -> float | None:
     return float(np.hypot.reduce(np.nan_to_num(errors))) if errors else None
 
 
+METHODS = {"algebraic": "algebraic_axial_stress", "computational": "axial_stress"}
+
+
+def methods(result: StressResult) -> dict[str, xr.DataArray]:
+    """Axial stress, kPa, by each method that the result has; the algebraic one of each pixel."""
+    maps = on_layer(result.maps)
+    # The algebraic method alone fills both variables with the same, and has no contact pressure.
+    names = METHODS if "contact_pressure" in maps else {"algebraic": "axial_stress"}
+    fields = {method: maps[name] for method, name in names.items()}
+    if result.pixels is not None and len(fields) > 1:
+        fields["algebraic"] = on_layer(result.pixels)[METHODS["algebraic"]]
+    return fields
+
+
+def stress_error(method: str, maps: xr.Dataset) -> xr.DataArray | None:
+    """Error of the axial stress by a method, kPa, where it is known."""
+    name = f"{METHODS[method]}_error"
+    if name in maps:
+        return maps[name]
+    alone = "contact_pressure" not in maps  # the algebraic method, whose stress is *the* stress
+    return maps.get("axial_stress_error") if alone else None
+
+
+def mean_error(method: str, maps: xr.Dataset) -> float | None:
+    """Error of the mean axial stress by a method, kPa."""
+    if method == "computational":
+        return mean_stress_error(maps)
+    error = stress_error(method, maps)
+    return None if error is None else float(error.mean())
+
+
+def stress_figures(result: StressResult, method: str) -> tuple[str, str, str]:
+    """Mean, 1st percentile and lowest axial stress by a method, kPa, to their errors."""
+    maps, field = on_layer(result.maps), methods(result)[method]
+    values = field.values[np.isfinite(field.values)]
+    if not values.size:
+        return "unknown", "unknown", "unknown"
+    error = stress_error(method, maps)
+    error = None if error is None else error.interp(y=field["y"], x=field["x"])
+
+    def at(value: float) -> str:
+        place = np.nanargmin(abs(field.values - value))
+        return rounded(value, None if error is None else error.values.flat[place])
+
+    first, lowest = at(np.percentile(values, 1)), at(values.min())
+    return rounded(values.mean(), mean_error(method, maps)), first, lowest
+
+
 def mesh_error(attrs: Mapping[Hashable, Any]) -> str:
     """Say by how much the mesh may be off, in the total force."""
     error, force = attrs["force_mesh_error_mN"], attrs["sample_force_mN"]
-    return f"{error:.2g} mN ({abs(error / force):.1%})" if force else f"{error:.2g} mN"
+    said = f"{rounded(error, digits=2)} mN"
+    return f"{said} ({percent(error / abs(force))})" if force else said
 
 
 #: Inputs in words.
@@ -124,10 +176,12 @@ def input_errors(attrs: Mapping[Hashable, Any]) -> str:
         if given[name]:
             size = f"{given[name]:.3g}{units.get(name, '')}"
             if name == "modulus":
-                size = f"{100 * given[name]:.3g} %"
-            said.append(f"{parts[name]:.2g} mN by {INPUTS[name]} \N{PLUS-MINUS SIGN}{size}")
-    share = f" ({abs(error / force):.1%})" if force else ""
-    return f"\N{PLUS-MINUS SIGN}{error:.2g} mN{share} at 95 %" + (
+                size = percent(given[name])
+            said.append(
+                f"{rounded(parts[name], digits=2)} mN by {INPUTS[name]} \N{PLUS-MINUS SIGN}{size}"
+            )
+    share = f" ({percent(error / abs(force))})" if force else ""
+    return f"\N{PLUS-MINUS SIGN}{rounded(error, digits=2)} mN{share} at 95 %" + (
         "; " + ", ".join(said) if said else ""
     )
 
@@ -143,22 +197,22 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
     modulus = maps["sample_youngs_modulus"].values
     error = maps["sample_modulus_error"].values
     lines = [
-        f"total force: 95 % band +- {attrs['force_error_mN']:.2g} mN; axial stress: "
-        f"+- {np.nanmedian(maps['axial_stress_error']):.2g} kPa (median)"
+        f"total force: 95 % band ±{rounded(attrs['force_error_mN'], digits=2)} mN; axial stress: "
+        f"±{np.nanmedian(maps['axial_stress_error']):.2g} kPa (median)"
     ]
     if np.isfinite(modulus).any():
         low, middle, high = np.nanpercentile(modulus, [5, 50, 95])
         lines.append(
             f"Young's modulus of the sample: median {middle:.3g} kPa, 90 % of the map within "
-            f"{low:.3g} ... {high:.3g} kPa, 95 % band +- {np.nanmedian(error):.0%} (median), known "
-            f"on {np.isfinite(modulus).mean():.0%} of the map"
+            f"{low:.3g} ... {high:.3g} kPa, 95 % band ±{percent(np.nanmedian(error))} (median), "
+            f"known on {percent(np.isfinite(modulus).mean())} of the map"
         )
     if "sample_relief" in maps and maps["sample_relief"].notnull().any():
         low, high = np.nanpercentile(maps["sample_relief"].values, [1, 99])
         band = np.nanmedian(maps["sample_relief_error"].values)
         lines.append(
             f"relief of the sample, found: 98 % of it within {1e3 * low:+.2g} ... "
-            f"{1e3 * high:+.2g} um of its mean height, 95 % band +- {1e3 * band:.2g} um (median)"
+            f"{1e3 * high:+.2g} um of its mean height, 95 % band ±{1e3 * band:.2g} um (median)"
         )
     lines.append(
         f"thickness: computed and measured differ by {1e3 * attrs['thickness_misfit_mm']:.2g} um, "
@@ -172,7 +226,7 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
 def of_series(series: xr.Dataset) -> str:
     """Travel and force of each load of a series."""
     return ", ".join(
-        f"{travel:.3g} mm {force:.1f} mN"
+        f"{travel:.3g} mm {rounded(force)} mN"
         for travel, force in zip(
             series["compression"].values, series["window_force"].values, strict=True
         )
@@ -186,8 +240,9 @@ def _submodel(attrs: Mapping[Hashable, Any]) -> list[str]:
     lines = [
         f"region: x {x0:g} to {x1:g} mm, y {y0:g} to {y1:g} mm, force of the sample on it "
         f"{attrs['sample_force_mN']:.1f} mN",
-        f"axial stress differs by {attrs['submodel_change']:.1%} from that of the coarse solution; "
-        f"the sides of the {part} account for about {attrs['submodel_sides_error']:.1%}",
+        f"axial stress differs by {percent(attrs['submodel_change'])} from that of the coarse "
+        f"solution; the sides of the {part} account for about "
+        f"{percent(attrs['submodel_sides_error'])}",
     ]
     if "tiles" not in attrs:
         return lines
@@ -195,7 +250,7 @@ def _submodel(attrs: Mapping[Hashable, Any]) -> list[str]:
     tiles = f"{across} x {along} tiles"
     if "seam_error" in attrs:
         tiles += (
-            f"; where they overlap their axial stress differs by {attrs['seam_error']:.1%}, "
+            f"; where they overlap their axial stress differs by {percent(attrs['seam_error'])}, "
             f"{attrs['seam_error_largest_kPa']:.2g} kPa at most, before it is blended"
         )
     return [*lines, tiles]
@@ -206,12 +261,12 @@ def summarise(result: StressResult) -> str:
 
     Total forces in mN, mean and peak axial stress in kPa by each method (the percentile beside the
     most compressed pixel tells whether that pixel stands alone), and the shares of the map that
-    are in contact and that were interpolated.
+    are in contact and that were interpolated. Numbers have the digits that their error leaves.
     """
     maps = on_layer(result.maps)
     lines = []
     forces = [
-        f"{side} {maps.attrs[key]:.1f} mN"
+        f"{side} {rounded(maps.attrs[key], force_error(maps.attrs))} mN"
         for side in ("window", "sample")
         if (key := f"{side}_force_mN") in maps.attrs
     ]
@@ -223,14 +278,14 @@ def summarise(result: StressResult) -> str:
         said = mesh_error(maps.attrs)
         if "accuracy" in maps.attrs:
             sizes = " x ".join(f"{size:.3g}" for size in maps.attrs["element_size_mm"])
-            said += f", on elements of {sizes} mm chosen for {maps.attrs['accuracy']:.2%}"
+            said += f", on elements of {sizes} mm chosen for {percent(maps.attrs['accuracy'])}"
         lines.append(f"error of the mesh, estimated: {said}")
     elif forces and not ("submodel_region_mm" in maps.attrs or "sample_shear_modulus" in maps):
         lines.append("error of the mesh: unknown, because there is no solution on coarser elements")
     if rim := maps.attrs.get("force_rim_model_mN", 0.0):
         lines.append(
-            f"of the force, about {rim:.2g} mN is due to the model of the rim, where sides of the "
-            "layer roll onto window or sample"
+            f"of the force, about {rounded(rim, digits=2)} mN is due to the model of the rim, "
+            "where sides of the layer roll onto window or sample"
         )
     glued = [side for side in ("window", "sample") if maps.attrs.get(f"{side}_contact") == "glued"]
     if glued:
@@ -239,25 +294,22 @@ def summarise(result: StressResult) -> str:
         lines.append(f"error from the inputs: {of_inputs}")
     if "force_residual" in maps.attrs:
         lines.append("equilibrium: " + equilibrium(maps.attrs))
-    methods = {"computational": "axial_stress", "algebraic": "algebraic_axial_stress"}
-    if "contact_pressure" not in maps:  # the algebraic method alone has none
-        del methods["computational"]
-    for method, name in methods.items():
-        stress = maps[name].values
+    for method in sorted(methods(result), reverse=True):
+        mean, first, lowest = (f"{value} kPa" for value in stress_figures(result, method))
         lines.append(
-            f"axial stress, {method}: mean {np.nanmean(stress):.3f} kPa, 99 % of the map above "
-            f"{np.nanpercentile(stress, 1):.3f} kPa, most compressed {np.nanmin(stress):.3f} kPa"
+            f"axial stress, {method}: mean {mean}, 99 % of the map above {first}, most compressed "
+            f"{lowest}"
         )
     if "contact_state" in maps:  # the algebraic method computes none
         state = maps["contact_state"].values
         shares = [
-            f"{kind.name.lower()} {np.mean(state == kind):.1%}"
+            f"{kind.name.lower()} {percent(np.mean(state == kind))}"
             for kind in reversed(ContactState)
             if np.any(state == kind)
         ]
         lines.append("contact with the sample: " + ", ".join(shares))
         if "glued" in shares[0] and (pulled := float(np.mean(maps["contact_pressure"] < 0))):
-            lines.append(f"pulled by the sample: {pulled:.1%} of the map")
+            lines.append(f"pulled by the sample: {percent(pulled)} of the map")
     if sides := edge_influence(maps.attrs):
         lines.append(f"sides of the layer: {sides}")
     if result.series is not None:
@@ -267,7 +319,9 @@ def summarise(result: StressResult) -> str:
     elif unknown := of_unknown_sample(maps):
         lines.append(unknown)
     if open_share := maps.attrs.get("no_contact_share"):
-        lines.append(f"not thinner than unloaded, so taken as open: {open_share:.2%} of the map")
+        lines.append(
+            f"not thinner than unloaded, so taken as open: {percent(open_share)} of the map"
+        )
     change = maps.attrs.get("volume_change_percent", 0.0)
     if abs(change) > _NOTABLE_VOLUME_CHANGE:
         lines.append(
@@ -275,10 +329,14 @@ def summarise(result: StressResult) -> str:
             "between roller edges a layer that is thinner all over is laterally confined"
         )
     if "filled_share" in maps.attrs:
-        lines.append(
-            f"interpolated pixels: {maps.attrs['filled_share']:.2%} (missing "
-            f"{maps.attrs['missing_share']:.2%}, spikes {maps.attrs['spike_share']:.2%})"
-        )
+        parts = [
+            f"{kind} {percent(share)}"
+            for kind, key in (("missing", "missing_share"), ("spikes", "spike_share"))
+            if (share := maps.attrs[key])
+        ]
+        filled = maps.attrs["filled_share"]
+        said = f"{percent(filled)} of the map ({', '.join(parts)})" if filled else "none"
+        lines.append(f"interpolated pixels: {said}")
         if maps.attrs["filled_share"] > _NOTABLE_FILLED:
             lines.append(
                 "WARNING: so much of the thickness map is made up that the stress in and around "
@@ -287,7 +345,8 @@ def summarise(result: StressResult) -> str:
     if maps.attrs.get("status") == Status.NEARLY:
         lines.append(
             "WARNING: nearly converged: friction at some edges goes on changing, and "
-            f"{maps.attrs['force_residual']:.1%} of the contact forces are out of balance there"
+            f"{percent(maps.attrs['force_residual'])} of the contact forces are out of balance "
+            "there"
         )
     lines += [f"WARNING: {text}" for text in json.loads(maps.attrs.get("unusual", "[]"))]
-    return "\n".join(lines)
+    return plain("\n".join(lines))

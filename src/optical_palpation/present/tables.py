@@ -11,7 +11,7 @@ import xarray as xr
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic
 from optical_palpation.present.profiles import on_layer
-from optical_palpation.present.terms import rounded
+from optical_palpation.present.terms import plain, rounded
 
 
 def write_table(table: xr.Dataset, path: str | Path) -> None:
@@ -53,8 +53,7 @@ def table_in_words(table: xr.Dataset) -> str:
 
 def _said(row: xr.Dataset, name: str) -> str:
     """A number to the digits that its error leaves, with the minus of a terminal."""
-    text = rounded(row[name], row.get(f"{name}_error"))
-    return text.replace("\N{MINUS SIGN}", "-")
+    return plain(rounded(row[name], row.get(f"{name}_error")))
 
 
 def result_columns(result: StressResult) -> dict[str, Any]:

@@ -22,6 +22,8 @@ STATES = {"open": "#DDDDDD", "slip": "#E69F00", "stick": "#0072B2", "glued": "#0
 #: What the numbers of contact states mean.
 STATE_NUMBERS = ", ".join(f"{int(state)} {state.name.lower()}" for state in ContactState)
 
+_LEAST_PERCENT = 0.001
+
 
 @dataclass(frozen=True)
 class Term:
@@ -147,3 +149,18 @@ def rounded(value: Any, error: Any = None, *, digits: int = 3) -> str:
     places = max(0, place)
     text = f"{round(value, place):.{places}f} \N{PLUS-MINUS SIGN} {error:.{places}f}"
     return text.replace("-", "\N{MINUS SIGN}")
+
+
+def plain(text: str) -> str:
+    """Text with the minus of a terminal, which programs can read."""
+    return text.replace("\N{MINUS SIGN}", "-")
+
+
+def percent(fraction: Any, *, digits: int = 2) -> str:
+    """A fraction in percent, such as 2.7 %; where there is next to nothing of it, that."""
+    value = 100 * float(fraction)
+    if 0 < abs(value) < _LEAST_PERCENT:
+        return f"below {_LEAST_PERCENT:g} %"
+    if 0 < 100 - value < 10:  # what is left counts: 99.8 % open is not 100 %
+        digits = max(digits, 2 - int(np.floor(np.log10(100 - value))))
+    return f"{rounded(value, digits=min(digits, 5))} %"

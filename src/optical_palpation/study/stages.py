@@ -210,13 +210,14 @@ def warnings_about(result: StressResult) -> list[str]:
     for key, which in (("filled_share", "loaded"), ("initial_filled_share", "unloaded")):
         if (share := attrs.get(key, 0.0)) > _NOTABLE_FILLED:
             said.append(
-                f"{share:.1%} of the {which} thickness could not be measured and was interpolated: "
-                "look at the boundaries before you trust the stress there"
+                f"{present.percent(share)} of the {which} thickness could not be measured and was "
+                "interpolated: look at the boundaries before you trust the stress there"
             )
     if (share := attrs.get("specular_share", 0.0)) > 0:
         said.append(
-            f"{share:.1%} of the loaded volume is outshone by reflections, which may draw the "
-            "boundary to themselves: look at the pixels marked as specular in boundaries-loaded.nc"
+            f"{present.percent(share)} of the loaded volume is outshone by reflections, which may "
+            "draw the boundary to themselves: look at the pixels marked as specular in "
+            "boundaries-loaded.nc"
         )
     if "registration_shift_mm" in attrs:
         y, x = np.ravel(attrs["registration_shift_mm"])
@@ -231,7 +232,7 @@ def warnings_about(result: StressResult) -> list[str]:
         )
     if (imbalance := attrs.get("force_balance", 0.0)) > _NOTABLE_IMBALANCE:
         said.append(
-            f"the forces at window and sample differ by {imbalance:.1%}: the solution is not in "
-            "equilibrium"
+            f"the forces at window and sample differ by {present.percent(imbalance)}: the solution "
+            "is not in equilibrium"
         )
     return said

@@ -21,10 +21,13 @@ from optical_palpation.present.summary import (
     force_error,
     has_bands,
     input_errors,
-    mean_stress_error,
+    mean_error,
     mesh_error,
+    methods,
     of_mesh_alone,
     of_series,
+    stress_error,
+    stress_figures,
 )
 from optical_palpation.present.terms import (
     DIFFERENCE,
@@ -33,22 +36,10 @@ from optical_palpation.present.terms import (
     STRESS,
     common_limits,
     is_map,
+    percent,
     rounded,
     term,
 )
-
-METHODS = {"algebraic": "algebraic_axial_stress", "computational": "axial_stress"}
-
-
-def methods(result: StressResult) -> dict[str, xr.DataArray]:
-    """Axial stress, kPa, by each method that the result has; the algebraic one of each pixel."""
-    maps = on_layer(result.maps)
-    # The algebraic method alone fills both variables with the same, and has no contact pressure.
-    names = METHODS if "contact_pressure" in maps else {"algebraic": "axial_stress"}
-    fields = {method: maps[name] for method, name in names.items()}
-    if result.pixels is not None and len(fields) > 1:
-        fields["algebraic"] = on_layer(result.pixels)[METHODS["algebraic"]]
-    return fields
 
 
 def thicknesses(
@@ -284,8 +275,7 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
     if result.series is not None:
         rows.append(("Travel of the plate and force at each load", of_series(result.series)))
     if "force_balance" in attrs:
-        off = 100 * attrs["force_balance"]
-        rows.append(("Difference of the two", f"{off:.2g} %" if off > 1e-3 else "below 0.001 %"))
+        rows.append(("Difference of the two", percent(attrs["force_balance"])))
     if "force_mesh_error_mN" in attrs:
         rows.append(("Error of the mesh, estimated", mesh_error(attrs)))
     if of_inputs := input_errors(attrs):
@@ -296,46 +286,17 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
         rows.append(("Sides of the layer", sides))
     for method, stress in methods(result).items():
         force = -float(stress.fillna(0.0).integrate(["y", "x"]))
-        error = _error_of(method, maps)
+        error = stress_error(method, maps)
         of_force = None if error is None else error.fillna(0.0).integrate(["y", "x"])
         rows.append((f"Integral of the {method} map", f"{rounded(force, of_force)} mN"))
     return rows
 
 
-def _error_of(method: str, maps: xr.Dataset) -> xr.DataArray | None:
-    """Error of the axial stress by a method, kPa, where it is known."""
-    name = f"{METHODS[method]}_error"
-    if name in maps:
-        return maps[name]
-    alone = "contact_pressure" not in maps  # the algebraic method, whose stress is *the* stress
-    return maps.get("axial_stress_error") if alone else None
-
-
 def stress_rows(result: StressResult) -> list[tuple[str, ...]]:
     """Name and value by each method of the mean, the 1st percentile and the lowest stress."""
-    maps = on_layer(result.maps)
-    rows: list[list[str]] = [["Mean"], ["1st percentile"], ["Most compressed"]]
-    for method, field in methods(result).items():
-        values = field.values[np.isfinite(field.values)]
-        if not values.size:
-            for row in rows:
-                row.append("")
-            continue
-        error = _error_of(method, maps)
-        error = None if error is None else error.interp(y=field["y"], x=field["x"])
-        rows[0].append(rounded(values.mean(), _mean_error(method, maps)))
-        for row, place in ((rows[1], np.percentile(values, 1)), (rows[2], values.min())):
-            there = np.nanargmin(abs(field.values - place))
-            row.append(rounded(place, None if error is None else error.values.flat[there]))
-    return [tuple(row) for row in rows]
-
-
-def _mean_error(method: str, maps: xr.Dataset) -> float | None:
-    """Error of the mean stress by a method, kPa."""
-    if method == "computational":
-        return mean_stress_error(maps)
-    error = _error_of(method, maps)
-    return None if error is None else float(error.mean())
+    columns = [stress_figures(result, method) for method in methods(result)]
+    names = ("Mean", "1st percentile", "Most compressed")
+    return list(zip(names, *columns, strict=True))
 
 
 def key_figures(
@@ -350,12 +311,12 @@ def key_figures(
         alone = ", ± by the mesh alone" * of_mesh_alone(attrs)
         figures.append((f"Force on the sample{', 95 % band' * bands}{alone}", f"{force} mN"))
     for method, stress in methods(result).items():
-        mean = rounded(stress.mean(), _mean_error(method, maps))
+        mean = rounded(stress.mean(), mean_error(method, maps))
         figures.append((f"Mean stress, {method}", f"{mean} kPa"))
     figures += _sample_figures(maps)
     if "contact_state" in maps:  # the algebraic method computes none
         touching = float(np.mean(maps["contact_state"].values != ContactState.OPEN))
-        figures.append(("In contact with the sample", _percent(touching)))
+        figures.append(("In contact with the sample", percent(touching)))
     thickness = thicknesses(result, loaded, unloaded)
     errors = _thickness_errors(attrs)
     if "unloaded" not in thickness and "initial_thickness_mm" in attrs:
@@ -366,7 +327,7 @@ def key_figures(
         figures.append((f"{state.title()} thickness, median", f"{middle} mm"))
     for state, layer in (("unloaded", unloaded), ("loaded", loaded)):
         if layer is not None and "filled" in layer and (fraction := float(layer["filled"].mean())):
-            figures.append((f"Interpolated pixels, {state}", _percent(fraction)))
+            figures.append((f"Interpolated pixels, {state}", percent(fraction)))
     return figures
 
 
@@ -391,7 +352,7 @@ def _sample_figures(maps: xr.Dataset) -> list[tuple[str, str]]:
         title = "Young's modulus of the sample, median"
         figures.append((title, f"{rounded(modulus, error)} kPa"))
         known = float(maps["sample_youngs_modulus"].notnull().mean())
-        figures.append(("Modulus known", _percent(known)))
+        figures.append(("Modulus known", percent(known)))
     if "sample_relief" in maps and maps["sample_relief"].notnull().any():
         low, high = (float(f(maps["sample_relief"])) for f in (np.nanmin, np.nanmax))
         band = 1e3 * float(maps["sample_relief_error"].median())
@@ -421,7 +382,7 @@ def band_rows(result: StressResult) -> list[tuple[str, str, str, str]]:
                 "unknown" if entry[key] is None else f"{rounded(entry[key], digits=2)} {units}"
                 for key, units in (("force_mN", "mN"), ("mean_stress_kPa", "kPa"))
             ]
-            text = _percent(error)
+            text = percent(error)
             if name.endswith("friction"):
                 text = rounded(error)
             elif name in ("thickness", "initial_thickness"):
@@ -450,10 +411,6 @@ def solution_rows(result: StressResult) -> list[tuple[str, str]]:
         return []
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.3g} %"
-
-
 def convergence_rows(result: StressResult) -> list[dict[str, float]]:
     """Steps of the solution: elements, share of the load reached, Newton iterations."""
     kinds = {"elements": int, "load": float, "newton": int}
@@ -468,13 +425,13 @@ def convergence_rows(result: StressResult) -> list[dict[str, float]]:
 
 def parameter_sections(parameters: Mapping[str, object]) -> list[tuple[str, list[tuple[str, str]]]]:
     """Parameters as text with units; a mapping within becomes a section, in it dotted names."""
-    plain: list[tuple[str, str]] = []
-    sections = [("", plain)]
+    single: list[tuple[str, str]] = []
+    sections = [("", single)]
     for name, value in parameters.items():
         if isinstance(value, Mapping):
             sections.append((str(name), _flat(value, str(name))))
         else:
-            plain.append(_row(str(name), value, ""))
+            single.append(_row(str(name), value, ""))
     return [section for section in sections if section[1]]
 
 

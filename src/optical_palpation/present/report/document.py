@@ -20,7 +20,7 @@ from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.output import provenance
 from optical_palpation.present.report import content
 from optical_palpation.present.report.bscans import draw_volume
-from optical_palpation.present.summary import of_unknown_sample, summarise
+from optical_palpation.present.summary import methods, of_unknown_sample, summarise
 from optical_palpation.runtime import software_version
 
 if TYPE_CHECKING:
@@ -175,7 +175,7 @@ def write_report(
         ],
         figures=content.key_figures(result, loaded, unloaded),
         forces=content.force_rows(result),
-        methods=list(content.methods(result)),
+        methods=list(methods(result)),
         uniform=content.uniform_maps(data["maps"], result),
         region_headings=headings,
         regions=region_rows,
