@@ -198,5 +198,5 @@ def test_a_missing_file_tells_how_to_make_one(here):
     with pytest.raises(InputError, match=r"optical-palpation new nowhere\.toml"):
         read_study("nowhere.toml")
     (here / "binary.toml").write_bytes(bytes(range(256)))
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="line 2 is not UTF-8"):
         read_study("binary.toml")

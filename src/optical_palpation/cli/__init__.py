@@ -19,7 +19,7 @@ from optical_palpation.cli.batch import batch
 from optical_palpation.cli.demo import demo
 from optical_palpation.cli.experiment import experiment
 from optical_palpation.cli.friction import friction
-from optical_palpation.cli.grammar import Command, epilog
+from optical_palpation.cli.grammar import Command, Group, epilog
 from optical_palpation.cli.material import material
 from optical_palpation.cli.options import SeveralNumbersCommand
 from optical_palpation.cli.reproduce import reproduce
@@ -43,6 +43,7 @@ _INTERRUPTED = "interrupted; no file is left half-written"
 
 app = typer.Typer(
     name="optical-palpation",
+    cls=Group,
     help="Tactile stress maps from the thickness of a compliant layer imaged by OCT.",
     epilog="A study from end to end: optical-palpation new study.toml, fill it in, then "
     "optical-palpation run study.toml. Shell completion: optical-palpation --install-completion.",

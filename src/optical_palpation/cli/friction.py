@@ -50,7 +50,9 @@ def friction(
     coefficients: Annotated[
         str,
         typer.Option(
-            metavar="TEXT", help="Coefficients of the calibration curves.", rich_help_panel=_LAYER
+            metavar="NUMBERS",
+            help="Coefficients of the calibration curves.",
+            rich_help_panel=_LAYER,
         ),
     ] = "0.02,0.1,0.2,0.3,0.4",
     layer_size: Annotated[
@@ -177,7 +179,7 @@ def friction(
     axes: Annotated[
         str | None,
         typer.Option(
-            metavar="TEXT",
+            metavar="AXES",
             help="Order of the volumes' axes, slowest first, such as yzx.",
             rich_help_panel=_VOLUMES,
         ),
@@ -193,7 +195,7 @@ def friction(
     variable: Annotated[
         str | None,
         typer.Option(
-            metavar="TEXT",
+            metavar="NAME",
             help="Array of the volumes, where a file has several.",
             rich_help_panel=_VOLUMES,
         ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from typer.core import TyperArgument, TyperCommand
+from typer.core import TyperArgument, TyperCommand, TyperGroup
 
 _PROMPT = "$ "
 
@@ -45,6 +45,17 @@ class Command(TyperCommand):
             elif line and not line.startswith("```"):
                 formatter.write_paragraph()
                 formatter.write_text(line)
+
+
+class Group(TyperGroup):
+    """Commands of which the help says in a whole sentence what each does."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """List the commands; an overview that breaks off tells nothing."""
+        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        rows = [(name, of.get_short_help_str(limit=200)) for name, of in commands if of is not None]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
 
 
 def _broken(command: str, width: int) -> Iterator[str]:

@@ -51,12 +51,12 @@ def material(
     strain_column: Annotated[
         str | None,
         typer.Option(
-            metavar="TEXT", help="Column of strain or displacement, if not found by name."
+            metavar="NAME", help="Column of strain or displacement, if not found by name."
         ),
     ] = None,
     stress_column: Annotated[
         str | None,
-        typer.Option(metavar="TEXT", help="Column of stress or force, if not found by name."),
+        typer.Option(metavar="NAME", help="Column of stress or force, if not found by name."),
     ] = None,
     measure: Annotated[
         Measure | None, typer.Option(help="Measure, where a table has both or says nothing.")

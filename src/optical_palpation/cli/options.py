@@ -23,15 +23,15 @@ InitialThickness = Annotated[
 ]
 Variable = Annotated[
     str | None,
-    typer.Option(metavar="TEXT", help="Variable of the map, where a file has several."),
+    typer.Option(metavar="NAME", help="Variable of the map, where a file has several."),
 ]
 InitialVariable = Annotated[
     str | None,
-    typer.Option(metavar="TEXT", help="Variable of the map of the unloaded thickness."),
+    typer.Option(metavar="NAME", help="Variable of the map of the unloaded thickness."),
 ]
 LengthUnit = Annotated[
     str | None,
-    typer.Option(metavar="TEXT", help="Unit of the thickness in the file: mm or um."),
+    typer.Option(metavar="UNIT", help="Unit of the thickness in the file: mm or um."),
 ]
 FieldOfView = Annotated[
     tuple[float, float] | None, typer.Option(metavar="X Y", help="Size of the map, mm.")

@@ -18,7 +18,7 @@ def reproduce(
     ],
     only: Annotated[
         list[str] | None,
-        typer.Option(metavar="TEXT", help="Page or part to make; may be repeated; else all."),
+        typer.Option(metavar="PART", help="Page or part to make; may be repeated; else all."),
     ] = None,
     data: Annotated[
         Path | None,

@@ -87,7 +87,12 @@ def read_study(path: str | Path, changes: Mapping[str, object] | None = None) ->
         raise InputError(
             f"{path}: is no valid TOML: {error}{': ' + line[:80] if line else ''}"
         ) from error
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        number = content[: error.start].count(b"\n") + 1
+        raise InputError(
+            f"{path}: line {number} is not UTF-8; save the file as text in UTF-8"
+        ) from error
+    except OSError as error:
         raise InputError(f"{path}: the study file cannot be read ({error})") from error
     given = changed(given, changes or {})
     if unfilled := list(_unfilled(given)):
