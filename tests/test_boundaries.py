@@ -313,7 +313,7 @@ def test_noise_holds_no_layer():
         ({"scale": None}, "scale"),
         ({"scale": "log"}, "scale"),
         ({"spacing": (0.0, 1.0, 1.0)}, "positive"),
-        ({"window": "edge"}, "window is"),
+        ({"window": "edge"}, "window: 'line'"),
         ({"window": np.nan}, "depth in mm"),
         ({"method": "guess"}, "method"),
         ({"sample_range": (0.5, 0.1)}, "search range"),

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import difflib
+import functools
+import inspect
 import math
 import os
+from collections.abc import Callable, Iterable, Mapping, Set
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from optical_palpation.errors import InputError
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _SHOWN = 60  # characters of a value
 
@@ -72,3 +79,85 @@ def in_words(value: object) -> str:
     shown = text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
     kind = type(value).__name__
     return "None" if value is None else shown if isinstance(value, str) else f"{kind} {shown}"
+
+
+def numbers(value: object, count: int, name: str, what: str) -> tuple[float, ...]:
+    """Return so many finite numbers as floats.
+
+    Raises
+    ------
+    InputError
+        If they are no such numbers.
+    """
+    try:
+        if isinstance(value, str | bytes | Mapping | Set):
+            raise TypeError
+        found = tuple(number(part, name, what) for part in value)  # type: ignore[attr-defined]
+    except (TypeError, InputError):
+        found = ()
+    if len(found) != count:
+        raise InputError(f"{name}: {what}, not {in_words(value)}")
+    return found
+
+
+def choice(value: object, name: str, *known: str) -> str:
+    """Return one of some words.
+
+    Raises
+    ------
+    InputError
+        If it is none of them.
+    """
+    if isinstance(value, str) and value in known:
+        return value
+    *others, last = (repr(word) for word in known)
+    raise InputError(f"{name}: {', '.join(others)} or {last}, not {in_words(value)}")
+
+
+def flag(value: object, name: str) -> bool:
+    """Return True or False.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
+        return bool(value)
+    raise InputError(f"{name}: True or False, not {in_words(value)}")
+
+
+def explained(function: Callable[P, R]) -> Callable[P, R]:
+    """Make a call that does not fit a function an error that says how it is called.
+
+    The function is called as ever; the error names what is missing or unknown, and the types of
+    what must be given.
+    """
+    signature = inspect.signature(function)
+    name = function.__qualname__.removesuffix(".__init__")
+    known = [p for p in signature.parameters.values() if p.name not in ("self", "cls")]
+    others = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+    needed = [p for p in known if p.default is p.empty and p.kind not in others]
+
+    def unknown(given: Iterable[str]) -> str:
+        if any(p.kind is p.VAR_KEYWORD for p in known):
+            return ""
+        free = [p.name for p in known if p.name not in given]
+        for word in given:
+            if word not in signature.parameters:
+                near = difflib.get_close_matches(word, free, 1)
+                hint = f"; did you mean {near[0]}?" if near else "."
+                return f"there is no argument {word!r}{hint}"
+        return ""
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            signature.bind(*args, **kwargs)
+        except TypeError as error:
+            problem = unknown(kwargs) or f"{error}."
+            needs = ", ".join(str(p).replace("'", "") for p in needed)
+            raise InputError(f"{name}: {problem} It needs ({needs})") from None
+        return function(*args, **kwargs)
+
+    return call

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from optical_palpation.analysis.maps import check_map, pixel_size
-from optical_palpation.arguments import check_instance
+from optical_palpation.arguments import check_instance, explained
 from optical_palpation.errors import InputError
 from optical_palpation.thickness import lateral_shift
 
@@ -94,6 +94,7 @@ def compare_maps(
     )
 
 
+@explained
 def compare_results(
     results: Mapping[str, xr.Dataset],
     variable: str = "axial_stress",

@@ -14,7 +14,7 @@ from optical_palpation.analysis.uncertainty import (
     linear_uncertainty,
     propagate_uncertainty,
 )
-from optical_palpation.arguments import check_instance, number
+from optical_palpation.arguments import check_instance, explained, number
 from optical_palpation.errors import InputError
 from optical_palpation.material import Law
 from optical_palpation.palpation.computational import Hold, computational_stress
@@ -23,6 +23,7 @@ from optical_palpation.palpation.progress import Progress
 from optical_palpation.palpation.result import StressResult
 
 
+@explained
 def stress_uncertainty(
     loaded: xr.DataArray,
     initial_thickness: float | xr.DataArray,

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from optical_palpation.analysis.maps import check_map, pixel_size, plane_noise
-from optical_palpation.arguments import check_instance, number
+from optical_palpation.arguments import check_instance, explained, in_words, number, numbers
 from optical_palpation.errors import InputError
 
 #: Points along each side of a pixel by which the share of it that lies in an outline is counted.
@@ -50,7 +50,18 @@ class Region:
     outlines: tuple[NDArray[np.float64], ...] = ()
     mask: xr.DataArray | None = None
 
+    def __post_init__(self) -> None:
+        check_instance(self.name, str, "name", "a region is called by a text")
+        if self.mask is None:
+            kind = "polygons of x and y in mm; Region.polygon, .rectangle and .ellipse make them"
+            check_instance(self.outlines, tuple, "outlines", kind)
+            for outline in self.outlines:
+                check_instance(outline, np.ndarray, "outlines", kind)
+        else:
+            check_instance(self.mask, xr.DataArray, "mask", "a DataArray (Region.of_mask)")
+
     @classmethod
+    @explained
     def polygon(cls, name: str, vertices: ArrayLike) -> Region:
         """Region within a polygon of at least three vertices, ``(n, 2)`` of x and y in mm.
 
@@ -65,13 +76,15 @@ class Region:
             outline = np.empty(0)
         if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
             raise InputError(
-                f"region {name!r}: a polygon needs at least three vertices (x, y) in mm"
+                f"region {name!r}, vertices: a polygon needs at least three vertices (x, y) in "
+                f"mm, not {in_words(vertices)}"
             )
         if not np.isfinite(outline).all():
             raise InputError(f"region {name!r}: a vertex is not finite")
         return cls(name, (outline,))
 
     @classmethod
+    @explained
     def rectangle(cls, name: str, x0: float, x1: float, y0: float, y1: float) -> Region:
         """Region of x0 to x1 and y0 to y1, mm.
 
@@ -92,6 +105,7 @@ class Region:
         return cls.polygon(name, [(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
 
     @classmethod
+    @explained
     def ellipse(
         cls, name: str, centre: tuple[float, float], semi_axes: tuple[float, float]
     ) -> Region:
@@ -102,11 +116,15 @@ class Region:
         InputError
             If a semi-axis is not positive.
         """
-        if not min(semi_axes) > 0.0:
-            raise InputError(f"region {name!r}: semi-axes must be positive, found {semi_axes}")
-        return cls.polygon(name, np.asarray(centre) + _unit_circle() * np.asarray(semi_axes))
+        where = f"region {name!r}, "
+        middle = numbers(centre, 2, f"{where}centre", "two numbers (x, y) in mm")
+        axes = numbers(semi_axes, 2, f"{where}semi_axes", "two positive numbers (x, y) in mm")
+        if not min(axes) > 0.0:
+            raise InputError(f"{where}semi_axes: must be positive, found {semi_axes}")
+        return cls.polygon(name, np.array(middle) + _unit_circle() * np.array(axes))
 
     @classmethod
+    @explained
     def ellipse_in_box(cls, name: str, corners: ArrayLike) -> Region:
         """Region within the ellipse that fits into a box, which may be turned.
 
@@ -122,13 +140,18 @@ class Region:
         InputError
             If they are no such corners.
         """
-        box = cls.polygon(name, corners).outlines[0]
+        four = f"region {name!r}, corners: the four corners (x, y) of a box in mm, in order"
+        try:
+            box = cls.polygon(name, corners).outlines[0]
+        except InputError:
+            raise InputError(f"{four}, not {in_words(corners)}") from None
         if len(box) != 4:
-            raise InputError(f"region {name!r}: the box of an ellipse has four corners")
+            raise InputError(f"{four}; found {len(box)}")
         half = np.stack([(box[1] - box[0]) / 2, (box[2] - box[1]) / 2])
         return cls.polygon(name, box.mean(0) + _unit_circle() @ half)
 
     @classmethod
+    @explained
     def of_mask(cls, name: str, mask: xr.DataArray) -> Region:
         """Region of the pixels that are true in a mask on ``(y, x)``, coordinates in mm.
 
@@ -226,6 +249,7 @@ def _unit_circle() -> NDArray[np.float64]:
     return unit * np.sqrt(2 * np.pi / _CORNERS / np.sin(2 * np.pi / _CORNERS))
 
 
+@explained
 def region_statistics(
     maps: xr.Dataset,
     regions: Sequence[Region],

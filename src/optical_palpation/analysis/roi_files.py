@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.analysis.maps import check_map, pixel_size
 from optical_palpation.analysis.regions import Region
-from optical_palpation.arguments import file_path
+from optical_palpation.arguments import explained, file_path
 from optical_palpation.errors import InputError
 from optical_palpation.files import replacing
 from optical_palpation.volume.contents import translated_errors
@@ -30,6 +30,7 @@ _ORIENTATION = 274  # tag of TIFF and EXIF
 _NAPARI = ["index", "shape-type", "vertex-index", "axis-0", "axis-1"]
 
 
+@explained
 def read_regions(path: str | os.PathLike[str], like: xr.DataArray | xr.Dataset) -> list[Region]:
     """Read regions of interest from a file.
 

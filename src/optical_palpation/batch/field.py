@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from optical_palpation.arguments import explained
 from optical_palpation.batch.cluster import connected
 from optical_palpation.batch.dispatch import BatchProgress, Dispatcher, Outcome
 from optical_palpation.errors import (
@@ -46,6 +47,7 @@ _PER_PIXEL = 120.0
 _WIDER = 2.0
 
 
+@explained
 def field_stress(
     coarse: StressResult,
     loaded: xr.DataArray,

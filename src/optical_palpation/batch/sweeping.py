@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.arguments import check_instance
+from optical_palpation.arguments import check_instance, explained
 from optical_palpation.batch.dispatch import BatchProgress
 from optical_palpation.batch.reading import Batch, Scan
 from optical_palpation.batch.run import run_batch
@@ -27,6 +27,7 @@ Tell = Callable[[Any], None]
 Point = Mapping[str, Any]
 
 
+@explained
 def sweep(
     study: Study,
     parameters: Mapping[str, Sequence[Any]],

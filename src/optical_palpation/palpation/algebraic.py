@@ -7,7 +7,7 @@ import json
 import numpy as np
 import xarray as xr
 
-from optical_palpation.arguments import check_instance
+from optical_palpation.arguments import check_instance, explained
 from optical_palpation.errors import MaterialError
 from optical_palpation.material import Law
 from optical_palpation.palpation.plausibility import unusual
@@ -16,6 +16,7 @@ from optical_palpation.thickness.frames import inside_layer, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
 
 
+@explained
 def algebraic_stress(
     loaded: xr.DataArray,
     initial_thickness: float | xr.DataArray,
@@ -58,7 +59,7 @@ def algebraic_stress(
     """
     kind = "a law such as MooneyRivlin(c10=..., c01=...), moduli in kPa"
     check_instance(material, Law, "material", kind)
-    loaded = on_grid(loaded)
+    loaded = on_grid(loaded, "loaded")
     initial = match_initial_thickness(initial_thickness, loaded, glued=glued)
     stretch = np.where(inside_layer(loaded), loaded.values / initial.values, np.nan)
     lowest, highest = material.stable_stretches()
@@ -86,6 +87,7 @@ def algebraic_stress(
     return stress.rename("algebraic_axial_stress")
 
 
+@explained
 def algebraic_result(
     loaded: xr.DataArray,
     initial_thickness: float | xr.DataArray,
@@ -104,7 +106,7 @@ def algebraic_result(
         ``algebraic_axial_stress`` (kPa) and ``loaded_thickness`` (mm). The uniaxial test of each
         pixel knows no contact: there is neither a ``contact_state`` nor a ``layer``.
     """
-    loaded = on_grid(loaded)
+    loaded = on_grid(loaded, "loaded")
     initial = match_initial_thickness(initial_thickness, loaded, glued=glued)
     stress = algebraic_stress(loaded, initial, material, glued=glued)
     maps = xr.Dataset(

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
-from optical_palpation.arguments import check_instance
+from optical_palpation.arguments import check_instance, choice, explained, flag
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
@@ -49,6 +49,7 @@ from optical_palpation.thickness.initial import match_initial_thickness
 MOST_ELEMENTS = 1e8
 
 
+@explained
 def computational_stress(
     loaded: xr.DataArray,
     initial_thickness: float | xr.DataArray,
@@ -147,7 +148,7 @@ def computational_stress(
         )
     if element_size is None:
         assert accuracy is not None
-        x0, x1, y0, y1 = layer_extent_of(on_grid(loaded))
+        x0, x1, y0, y1 = layer_extent_of(on_grid(loaded, "loaded"))
         thickness = float(np.nanmedian(initial_thickness))
 
         def solve_with(size: float) -> StressResult:
@@ -170,7 +171,9 @@ def computational_stress(
             )
 
         return solve_to_accuracy(accuracy, thickness, (x1 - x0, y1 - y0), solve_with)
-    loaded = on_grid(loaded)
+    loaded = on_grid(loaded, "loaded")
+    flag(mesh_check, "mesh_check")
+    flag(edge_check, "edge_check")
     held = {"window": window_friction, "sample": sample_friction}
     _check_numbers(held, edges, imprint_smoothing, solver, threads)
     glued = {face: hold == "glued" for face, hold in held.items()}
@@ -304,7 +307,7 @@ def _check_numbers(
     threads: int | None,
 ) -> None:
     for face, value in held.items():
-        if value == "glued":
+        if isinstance(value, str) and value == "glued":
             continue
         if isinstance(value, str) or not (_is_number(value) and value >= 0):
             raise InputError(
@@ -315,12 +318,10 @@ def _check_numbers(
                 f"{face}_friction is {value:g}: no interface has a coefficient above 2; a layer "
                 'that cannot slip is "glued"'
             )
-    if edges not in ("free", "roller", "padded"):
-        raise InputError(f"edges must be free, roller or padded, not {edges!r}")
+    choice(edges, "edges", "free", "roller", "padded")
     if smoothing is not None and not (_is_number(smoothing) and smoothing >= 0):
         raise InputError(f"imprint_smoothing must be at least 0 mm, not {smoothing!r}")
-    if solver not in ("auto", "multigrid", "direct"):
-        raise InputError(f"solver must be auto, multigrid or direct, not {solver!r}")
+    choice(solver, "solver", "auto", "multigrid", "direct")
     if threads is not None and not (isinstance(threads, int | np.integer) and threads >= 1):
         raise InputError(f"threads must be a whole number of at least 1, not {threads!r}")
 
@@ -341,8 +342,10 @@ def _slip_length(given: float | None, thickness: float) -> float:
     return float(given)
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
+def _is_number(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        return False
+    return bool(np.isfinite(value))
 
 
 def element_sizes(

@@ -144,7 +144,7 @@ def match_sample_motion(motion: xr.Dataset, loaded: xr.DataArray) -> xr.DataArra
     """
     if not isinstance(motion, xr.Dataset) or not set(MOTION) <= set(motion.data_vars):
         raise InputError(
-            f"the motion of the sample is an xarray.Dataset of {' and '.join(MOTION)}, mm on "
+            f"sample_motion: an xarray.Dataset of {' and '.join(MOTION)}, mm on "
             f"(y, x); found {_content(motion)}"
         )
     motion = motion[list(MOTION)]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.arguments import check_instance
+from optical_palpation.arguments import check_instance, explained
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.mechanics.path import LoadNotReached
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
@@ -29,6 +29,7 @@ from optical_palpation.thickness.initial import match_initial_thickness
 MARGIN = 0.5
 
 
+@explained
 def submodel_stress(
     coarse: StressResult,
     loaded: xr.DataArray,
@@ -231,7 +232,7 @@ def submodel_inputs(
         )
     if whole.surroundings is not None:
         raise InputError("the coarse result is itself a part of a layer: give the whole")
-    loaded = on_grid(loaded)
+    loaded = on_grid(loaded, "loaded")
     if bool(loaded.isnull().any()):
         raise InputError("the loaded thickness has missing values: fill them with clean_thickness")
     held: dict[str, Hold] = {

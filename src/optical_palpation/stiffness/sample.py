@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
-from optical_palpation.arguments import check_instance
+from optical_palpation.arguments import check_instance, numbers
 from optical_palpation.errors import InputError
 from optical_palpation.material import Law
 from optical_palpation.palpation.plausibility import WIDEST_FIELD
@@ -58,6 +58,18 @@ class Sample:
     law: Law | None = None
     total_force: float | Sequence[float] | None = None
 
+    def __post_init__(self) -> None:
+        for name in ("thickness", "plate_friction"):
+            _check_number(name, getattr(self, name))
+        for name in ("compression", "total_force"):
+            for value in np.atleast_1d(getattr(self, name)).tolist():
+                if getattr(self, name) is not None:
+                    _check_number(name, value)
+        if self.law is not None:
+            check_instance(self.law, Law, "sample: law", "a law such as material.NeoHookean")
+        if self.size is not None:
+            numbers(self.size, 2, "sample: size", "two positive numbers of mm, x and y")
+
     @property
     def travels(self) -> tuple[float, ...] | None:
         """The travel at each load, mm; None if forces are given."""
@@ -92,7 +104,7 @@ def as_loads(loaded: xr.DataArray | Sequence[xr.DataArray]) -> list[xr.DataArray
     maps = [loaded] if isinstance(loaded, xr.DataArray | xr.Dataset) else list(loaded)
     if not maps:
         raise InputError("sample: at least one map of the loaded thickness is needed")
-    maps = [on_grid(each) for each in maps]
+    maps = [on_grid(each, "loaded") for each in maps]
     *others, last = (layer_extent_of(each) for each in maps)
     slack = 1e-3 * max(last[1] - last[0], last[3] - last[2])
     for n, extent in enumerate(others, start=1):
@@ -168,8 +180,6 @@ def check_sample(
 
 def _check_numbers(sample: Sample, loads: int) -> None:
     """Refuse numbers that are none, or cannot be."""
-    for name in ("thickness", "plate_friction"):
-        _check_number(name, getattr(sample, name))
     if sample.thickness <= 0:
         raise InputError(f"sample: the thickness must be positive, not {sample.thickness:g} mm")
     if not 0 <= sample.plate_friction <= 2:
@@ -180,7 +190,6 @@ def _check_numbers(sample: Sample, loads: int) -> None:
         if given is None:
             continue
         for value in np.atleast_1d(given).tolist():
-            _check_number(name, value)
             if value <= 0:
                 raise InputError(
                     f"sample: the {words[name]}, {value:g} {units}, must be positive"

@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from optical_palpation.arguments import explained
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law, NeoHookean
 from optical_palpation.mechanics.grid import node_positions
@@ -56,6 +57,7 @@ _GUESS = 0.15
 _FORCE_READING = 0.05
 
 
+@explained
 def sample_stress(
     loaded: xr.DataArray | Sequence[xr.DataArray],
     initial_thickness: float | xr.DataArray,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.arguments import check_instance, file_path, in_words
+from optical_palpation.arguments import check_instance, explained, file_path, in_words
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.files import replacing
 from optical_palpation.material import Law
@@ -63,6 +63,7 @@ class Study:
         Naming everything that cannot be used: table, key, value and what would be right.
     """
 
+    @explained
     def __init__(
         self,
         *,
@@ -292,7 +293,7 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
         if isinstance(value, xr.DataArray):
             from optical_palpation.thickness.frames import on_grid
 
-            return {"map": str(workspace.keep(on_grid(value))), "variable": "thickness"}
+            return {"map": str(workspace.keep(on_grid(value, name))), "variable": "thickness"}
         if name == "unloaded" and isinstance(value, int | float) and not isinstance(value, bool):
             return {"thickness": float(value)}
         if not isinstance(value, Mapping) or isinstance(value, xr.Dataset):

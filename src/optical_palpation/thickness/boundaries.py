@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter, median_filter
 
-from optical_palpation.arguments import in_words
+from optical_palpation.arguments import choice, explained, in_words, number, numbers
 from optical_palpation.errors import InputError
 
 from .canny import canny_surface
@@ -94,6 +94,7 @@ class _Scan:
         return xr.DataArray(values, coords, ("y", "x"), attrs={"units": units, "long_name": name})
 
 
+@explained
 def find_layer(
     volume: BScans | NDArray,
     *,
@@ -205,6 +206,15 @@ class LayerFinder:
         method: Method = "surface",
         progress: Progress | None = None,
     ) -> None:
+        if isinstance(window, str):
+            choice(window, "window", "line", "fall", "rise")
+        else:
+            number(window, "window", "'line', 'fall', 'rise' or a depth in mm")
+        choice(sample, "sample", "rise", "line", "fall")
+        choice(method, "method", "surface", "canny")
+        for name, given in (("window_range", window_range), ("sample_range", sample_range)):
+            if given is not None:
+                numbers(given, 2, name, "two depths (shallow, deep) in mm")
         self._scan = _scan(volume, spacing, scale, progress or (lambda share: None))
         self._window, self._sample, self._method = window, sample, method
         self._ranges = {"window": window_range, "sample": sample_range}
@@ -248,8 +258,6 @@ class LayerFinder:
             top = self._locate("window", window, *ends, fixes)
             found["window"] = window, top
         else:
-            if not np.isfinite(window):
-                raise InputError(f"window depth is {window}; give a depth in mm")
             top = np.full((ny, nx), (float(window) - scan.origin[0]) / scan.spacing[0])
         first, last = scan.depths(self._ranges["sample"], whole)
         lowest = np.maximum(first, top + GUARD * scan.sigma)
@@ -392,19 +400,21 @@ def _scan(
     source: BScans = _Array(volume) if isinstance(volume, np.ndarray) else volume
     if spacing is None:
         spacing = getattr(metadata, "spacing", None)
-    if scale is None:
-        scale = getattr(metadata, "scale", None)
+    scale = getattr(metadata, "scale", None) if scale is None else scale
     if spacing is None or scale is None:
         raise InputError("find_layer: give the spacing (z, y, x) in mm and the scale of the volume")
     if len(source.shape) != 3 or min(source.shape) < 1 or source.shape[0] < 32:
         raise InputError(f"a volume of shape {source.shape} (z, y, x) is too small for a layer")
+    try:
+        dz, dy, dx = map(float, spacing)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"spacing: three positive numbers (z, y, x) in mm, not {in_words(spacing)}"
+        ) from None
     # A single B-scan has no spacing along y; any will do.
-    dz, dy, dx = spacing
     dy = dx if source.shape[1] == 1 and not np.isfinite(dy) else dy
     if not (np.all(np.isfinite([dz, dy, dx])) and min(dz, dy, dx) > 0):
-        raise InputError(
-            f"spacing {tuple(spacing)}: three positive numbers (z, y, x) in mm, please"
-        )
+        raise InputError(f"spacing: three positive numbers (z, y, x) in mm, not {tuple(spacing)}")
     origin = getattr(metadata, "origin", None) or (0.0, 0.0, 0.0)
     read = intensity_reader(source, scale)
     sigma, across = point_spread(read, source.shape[1])
@@ -424,12 +434,8 @@ def _locate(
     method: Method,
 ) -> NDArray[np.float64]:
     """First estimate of a boundary, pixels; NaN where the Canny detector sees nothing."""
-    if edge not in ("rise", "fall", "line"):
-        raise InputError(f"{boundary} is {edge!r}; give 'rise', 'fall' or 'line'")
     if method == "canny":
         return canny_surface(scan.read, scan.shape, edge, first, last, sigma=scan.sigma)
-    if method != "surface":
-        raise InputError(f"method is {method!r}; give 'surface' or 'canny'")
     return track(
         scan.reduced,
         edge,

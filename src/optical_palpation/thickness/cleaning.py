@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
+from optical_palpation.arguments import explained
 from optical_palpation.errors import InputError
 from optical_palpation.thickness.frames import inside_layer, on_grid
 
@@ -20,6 +21,7 @@ _SPIKE_SHARE = 0.02
 _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=bool)
 
 
+@explained
 def clean_thickness(thickness: xr.DataArray) -> xr.Dataset:
     """Replace single-pixel spikes and missing values; leave every other pixel as it is.
 

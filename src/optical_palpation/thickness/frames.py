@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from optical_palpation.arguments import explained
 from optical_palpation.errors import InputError
 from optical_palpation.volume.labels import axis_of
 from optical_palpation.volume.units import MM, stated_unit
@@ -20,6 +21,7 @@ _LEAST_MEASURED = 0.5
 _MARKS = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 99.9, 999.9, 9999.9, 99.99, 32767.0, 65535.0)
 
 
+@explained
 def thickness_map(
     values: ArrayLike,
     *,
@@ -127,37 +129,38 @@ def layer_extent_of(thickness: xr.DataArray) -> tuple[float, float, float, float
     return max(x0, whole[0]), min(x1, whole[1]), max(y0, whole[2]), min(y1, whole[3])
 
 
-def on_grid(thickness: xr.DataArray) -> xr.DataArray:
-    """Return the map on ``(y, x)``, or raise an InputError if it lacks that frame."""
+def on_grid(thickness: xr.DataArray, name: str = "thickness") -> xr.DataArray:
+    """Return the map on ``(y, x)``, or raise an InputError that names it if it lacks that frame."""
     if not isinstance(thickness, xr.DataArray):
         hint = ": take its variable 'thickness'" if isinstance(thickness, xr.Dataset) else ""
         raise InputError(
-            f"a thickness map is an xarray.DataArray, not {type(thickness).__name__}{hint}. Make "
-            "one of an array with thickness_map"
+            f"{name}: a thickness map is an xarray.DataArray, not {type(thickness).__name__}{hint}"
+            ". Make one of an array with thickness_map"
         )
     if thickness.dtype.kind not in "fiu" or not thickness.size:
         raise InputError(
-            f"a thickness map holds lengths in mm; found {thickness.dtype}, {thickness.size} values"
+            f"{name}: a thickness map holds lengths in mm; found {thickness.dtype}, "
+            f"{thickness.size} values"
         )
     if set(thickness.dims) != {"y", "x"} or not {"y", "x"} <= set(thickness.coords):
         raise InputError(
-            f"a thickness map has the dimensions (y, x) with coordinates in mm; found dimensions "
-            f"{thickness.dims} with coordinates {tuple(thickness.coords)}. Make one of an array "
-            "with thickness_map"
+            f"{name}: a thickness map has the dimensions (y, x) with coordinates in mm; found "
+            f"dimensions {thickness.dims} with coordinates {tuple(thickness.coords)}. Make one of "
+            "an array with thickness_map"
         )
-    for name, part in (("map", thickness), ("x", thickness["x"]), ("y", thickness["y"])):
-        unit = stated_unit("", part.attrs, f"thickness map, {name}")
+    for part, values in (("map", thickness), ("x", thickness["x"]), ("y", thickness["y"])):
+        unit = stated_unit("", values.attrs, f"{name}, {part}")
         if unit not in (None, "mm"):
             factor = MM[unit]
             scale = f"* {factor:g}" if factor > 1 else f"/ {1 / factor:g}"
             change = (
-                f"assign_coords({name}=(map.{name} {scale}).assign_attrs(units='mm'))"
-                if name in ("x", "y")
+                f"assign_coords({part}=(map.{part} {scale}).assign_attrs(units='mm'))"
+                if part in ("x", "y")
                 else f"(map {scale}).assign_attrs(map.attrs, units='mm')"
             )
-            raise InputError(f"thickness map: {name} is in {unit}; give mm: {change}")
+            raise InputError(f"{name}: {part} is in {unit}; give mm: {change}")
     for axis in ("x", "y"):
-        _ascending(thickness[axis].values, axis, thickness.sizes[axis], "thickness map")
+        _ascending(thickness[axis].values, axis, thickness.sizes[axis], name)
     thickness = thickness.transpose("y", "x")
     if all(thickness[axis].values[0] < thickness[axis].values[-1] for axis in ("x", "y")):
         return thickness

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from optical_palpation.arguments import number
+from optical_palpation.arguments import flag, number
 from optical_palpation.errors import InputError
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 
@@ -47,7 +47,8 @@ def match_initial_thickness(
         two differ so much that a unit must be wrong, or if no pixel of the layer is compressed and
         the sample is not glued.
     """
-    loaded = on_grid(loaded)
+    glued = flag(glued, "glued")
+    loaded = on_grid(loaded, "loaded")
     if np.any(loaded.values <= 0.0) or np.any(np.isinf(loaded.values)):
         raise InputError("the loaded thickness must be positive and finite (NaN where missing)")
     inside = inside_layer(loaded)
@@ -86,7 +87,7 @@ def match_initial_thickness(
 
 
 def _interpolated(initial: xr.DataArray, loaded: xr.DataArray) -> NDArray[np.float64]:
-    initial = on_grid(initial)
+    initial = on_grid(initial, "initial thickness")
     x, y = initial["x"].values, initial["y"].values
     extent = layer_extent_of(loaded)
     slack = 1e-6 * max(extent[1] - extent[0], extent[3] - extent[2])

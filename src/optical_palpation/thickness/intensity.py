@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from optical_palpation.arguments import choice
 from optical_palpation.errors import InputError
 from optical_palpation.runtime.kernels import keep_kernels
 
@@ -84,8 +85,7 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
     is much rougher than noise can be are a logarithm in another unit, and are scaled to it; but
     where averaging has smoothed the noise, the range of a spectrometer is the limit.
     """
-    if scale not in ("linear", "dB"):
-        raise InputError(f"scale is {scale!r}; give 'linear' or 'dB'")
+    choice(scale, "scale", "linear", "dB")
 
     def raw(y: int) -> NDArray[np.float32]:
         image = np.asarray(volume.bscan(y))

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from optical_palpation.arguments import file_path
+from optical_palpation.arguments import explained, file_path
 from optical_palpation.errors import InputError
 from optical_palpation.files import readable_name, replacing
 from optical_palpation.runtime import software_version
@@ -30,6 +30,7 @@ from optical_palpation.volume.opening import MAP_READERS, open_contents
 from optical_palpation.volume.units import MM, is_unit_key, stated_unit
 
 
+@explained
 def read_thickness_map(
     path: str | os.PathLike[str],
     *,

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ..arguments import file_path
+from ..arguments import explained, file_path
 from ..errors import InputError
 from . import (
     dicom,
@@ -45,6 +45,7 @@ READERS: tuple[Reader, ...] = (
 MAP_READERS: tuple[Reader, ...] = (*READERS, text)
 
 
+@explained
 def open_volume(
     path: str | os.PathLike[str],
     *,
