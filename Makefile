@@ -1,6 +1,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# A file at a time on each core, because the tests of a file share solutions, in conftest.py's order.
+ON_ALL_CORES := --numprocesses auto --dist loadscope --no-loadscope-reorder
 
 .PHONY: demo test test-quick lint docs pictures protocol package clean
 
@@ -19,11 +21,11 @@ demo: $(VENV)/.installed
 
 # All tests, on all cores; PYTEST_OPTIONS goes to pytest.
 test: $(VENV)/.installed-test
-	$(BIN)/python -m pytest --numprocesses auto --dist loadscope $(PYTEST_OPTIONS)
+	$(BIN)/python -m pytest $(ON_ALL_CORES) $(PYTEST_OPTIONS)
 
 # Those that take no time, for after every change.
 test-quick: $(VENV)/.installed-test
-	$(BIN)/python -m pytest --numprocesses auto --dist loadscope -m quick $(PYTEST_OPTIONS)
+	$(BIN)/python -m pytest $(ON_ALL_CORES) -m quick $(PYTEST_OPTIONS)
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .

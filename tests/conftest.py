@@ -48,6 +48,9 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(items):
+    """Mark the quick ones; files with slow tests go first, so that all workers end together."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
     for item in items:
         if item.path.stem.removeprefix("test_") in QUICK and not item.get_closest_marker("slow"):
             item.add_marker("quick")

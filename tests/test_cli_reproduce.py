@@ -23,6 +23,7 @@ def cells(page, what):
     return row
 
 
+@pytest.mark.slow
 def test_parts_and_page(here, run):
     only = ["--only", "friction", "--only", "resolution"]
     status, out, err = run("reproduce", "--output", "page", *only, "--quick")

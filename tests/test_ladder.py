@@ -311,8 +311,9 @@ def test_missing_values_must_be_filled_first():
         )
 
 
+@pytest.mark.slow
 def test_a_load_that_cannot_be_reached_is_an_error_that_says_how_far_it_came():
-    loaded = relief(1)
+    loaded = relief(1, n=7, size=0.75)
     steps = loaded.copy(data=np.where(np.indices(loaded.shape).sum(0) % 2, 0.02, 0.49))
     with pytest.raises(ConvergenceError, match=r"loaded to [\d.]+ % only"):
         computational_stress(steps, 0.5, MooneyRivlin(C10, C01), **SETTINGS, imprint_smoothing=0.0)

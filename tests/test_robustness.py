@@ -10,6 +10,7 @@ import robustness
 LIMIT = 1800
 
 
+@pytest.mark.slow
 def test_random_maps_converge_or_fail_as_documented():
     """Of these maps one may fail as documented, no more, and none in another way."""
     outcomes = [robustness.attempt(robustness.random_case(n), limit=LIMIT) for n in (0, 4, 6, 9)]

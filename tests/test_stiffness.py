@@ -100,6 +100,7 @@ def found(columns):
     return computed(columns, input_errors=InputErrors())
 
 
+@pytest.mark.slow
 def test_stress_force_and_stiffness_of_soft_and_stiff_columns(columns, found):
     maps, truth = found.maps, columns.maps
     still = computational_stress(
@@ -126,6 +127,7 @@ def test_stress_force_and_stiffness_of_soft_and_stiff_columns(columns, found):
     assert edge == pytest.approx(1.5, abs=0.15)
 
 
+@pytest.mark.slow
 def test_bands_contain_the_truth_and_widen_with_the_errors_of_the_inputs(columns, found):
     maps = found.maps
     true = columns.maps["axial_stress"].interp(x=maps["x"], y=maps["y"])
@@ -138,6 +140,7 @@ def test_bands_contain_the_truth_and_widen_with_the_errors_of_the_inputs(columns
     assert maps.attrs["force_error_mN"] > 0
 
 
+@pytest.mark.slow
 def test_total_force_in_place_of_the_travel(columns, found):
     """It finds the travel; given beside a travel that contradicts it, it is refused."""
     force = columns.maps.attrs["window_force_mN"]
@@ -148,7 +151,7 @@ def test_total_force_in_place_of_the_travel(columns, found):
     assert abs(attrs["compression_mm"] - 0.3) < attrs["compression_error_mm"]
     assert error(maps, columns.maps) < 0.06
     with pytest.raises(ConvergenceError, match="contradict each other"):
-        computed(columns, known(columns, total_force=2 * force))
+        computed(columns, known(columns, total_force=2 * force), element_size=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -166,6 +169,7 @@ def series(pressed_twice):
     return computed(pressed_twice[-1], sample, loaded=loads, input_errors=InputErrors())
 
 
+@pytest.mark.slow
 def test_two_loads_tell_relief_from_stiffness(pressed_twice, series):
     maps, truth = series.maps, pressed_twice[-1].maps
     taken_as_flat = computed(pressed_twice[-1]).maps
@@ -225,7 +229,7 @@ def test_a_sample_that_does_not_fit_is_refused_with_its_place(columns):
     hollow.values[25:35, 25:35] -= 0.2
     other = replace(columns, maps=columns.maps.assign(loaded_thickness=hollow))
     with pytest.raises(ConvergenceError, match=r"no stiffness .* x = 1\.\d+, y = 1\.\d+ mm"):
-        computed(other)
+        computed(other, element_size=0.3)
 
 
 @pytest.mark.parametrize(

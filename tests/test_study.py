@@ -227,6 +227,7 @@ def test_a_file_that_is_gone_or_damaged_is_made_again(done, run, damage):
     assert (done / "stress.nc").read_bytes() == expected
 
 
+@pytest.mark.slow
 def test_the_thickness_first_and_the_stress_later(here, run):
     status, out, _ = run("run", "study.toml", "--thickness-only")
     assert status == 0

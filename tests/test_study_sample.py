@@ -120,6 +120,7 @@ def given(pressed):
     return read
 
 
+@pytest.mark.slow
 def test_stiffness_is_found_and_the_file_says_everything(finished):
     maps = read_result(finished / "stress.nc").maps
     modulus = maps["sample_youngs_modulus"]
@@ -272,6 +273,7 @@ def before(pressed):
     return pressed / "before.nc"
 
 
+@pytest.mark.slow
 def test_a_series_of_loads_in_a_study(pressed, before):
     """Found are the relief, which is flat, the stiffness and the force at both loads."""
     (pressed / "series.toml").write_text(STUDY + SAMPLE + EARLIER)

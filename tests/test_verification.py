@@ -72,6 +72,7 @@ def test_transfer_functions_have_the_limits_of_thick_and_thin_layers():
     assert_allclose(transfer(k, h, 1.0, "stuck"), 3 / (k**2 * h**3), rtol=1e-3)  # flow
 
 
+@pytest.mark.slow
 def test_integral_equation_of_a_paraboloid_meets_its_limits():
     for base in ("sliding", "stuck"):
         delta, force = paraboloid(0.01, base)
