@@ -71,8 +71,8 @@ CASES = {
         "coin 10 um, 50 deep", (0.01, 0.01, 0.01), seconds=1800, gigabytes=20, huge=True
     ),
     "6,400 direct": Case("the first, sparse-direct", (0.125, 0.125, 0.125), solver="direct"),
-    "6,400 slow": Case("the first, without cascade", (0.125, 0.125, 0.125), cascade=False),
-    "100,000 slow": Case("the second, without cascade", (0.05, 0.05, 0.05), cascade=False),
+    "6,400 slow": Case("the first, without nested iteration", (0.125, 0.125, 0.125), cascade=False),
+    "100,000 slow": Case("the second, without nested iteration", (0.05, 0.05, 0.05), cascade=False),
 }
 
 

@@ -7,8 +7,8 @@ from math import log
 HEAD = """\
 # Performance
 
-Written by the benchmark itself; `python benchmarks/performance.py` measures everything but the
-largest case, `python benchmarks/performance.py --huge` that one.
+`python benchmarks/performance.py` measures everything on this page but the largest case, and writes
+it; `python benchmarks/performance.py --huge` measures that one.
 
 Loaded thickness: {map}. Layer 0.5 mm thick,
 C10 2.23 kPa, C01 0.703 kPa, K/mu 1e4, friction 0.15 at the window and 0.05 at the sample, free
@@ -19,22 +19,29 @@ edges.
 
 MAPS = {
     "coin": "the measured map of a 5-cent coin (5 x 5 mm; mirrored to 7 x 7 mm)",
-    "made": "a made map with the relief of a coin (5 x 5 mm; mirrored to 7 x 7 mm), because the "
-    "measured one was not there",
+    "made": "an artificial map with the relief of a coin (5 x 5 mm; mirrored to 7 x 7 mm), because "
+    "the measured one was not there",
 }
 
-NOTES = """\
-Elements: the outermost ones of free edges are finer, so that there are somewhat more than the
-nominal number. Unknowns: three displacements per node and a pressure per element. Seconds: wall
-clock of `computational_stress`, all of it, kernels compiled, the median of as many runs, nine at
-most, as begin within 5 s. Newton iterations: on all grids of the
-cascade, and on the finest. Krylov iterations: in all linear solves together, each to a relative
-residual of 1e-2, in the longest, and the number of those that took ten, where they end, as where
-a layer snaps. Peak memory: of the whole process (resident set);
-predicted is what the check before a run says, and what the process held before. The floor is the
-time in which the machine's memory could pass every array that a kernel reads or
-writes just once per call, {bandwidth} GB/s at the best of five triads; small grids live in the
-caches and may be faster.
+SIZES = """\
+- *Elements*: the outermost ones of free edges are finer, so there are somewhat more than the
+  nominal number.
+- *Unknowns*: three displacements per node and a pressure per element.
+- *Seconds*: wall-clock time of the whole of `computational_stress` with compiled kernels, the
+  median of all runs that start within 5 s, nine at most.
+- *Memory*: the peak of the whole process (resident set). The predicted value is that of the check
+  before a run plus what the process held before.
+"""
+WORK = """\
+The same cases, by the work done:
+"""
+WORK_NOTES = """\
+- *Floor*: the time in which the machine's memory ({bandwidth} GB/s, best of five triads) could
+  pass every array that a kernel reads or writes once per call. Small grids fit into the caches and
+  may be faster.
+- *Newton iterations*: on all grids of the nested iteration, and on the finest.
+- *Krylov iterations*: in all linear solves together, each to a relative residual of 1e-2; in the
+  longest one; and how many solves stopped at the limit of ten, which happens where a layer snaps.
 """
 
 
@@ -61,11 +68,14 @@ def page(cases: dict, record: dict) -> str:
         HEAD.format(map=MAPS[machines[-1]["map"]], machines=_machines(record)),
         "## Sizes\n",
         _sizes({n: c for n, c in cases.items() if c.solver == "auto" and c.cascade}, record),
-        NOTES.format(bandwidth=f"{machines[-1]['bandwidth'] / 1e9:.0f}"),
-        "Shares of the time:\n",
+        SIZES,
+        WORK,
+        _work({n: c for n, c in cases.items() if c.solver == "auto" and c.cascade}, record),
+        WORK_NOTES.format(bandwidth=f"{machines[-1]['bandwidth'] / 1e9:.0f}"),
+        "Where the time goes, in %, and by how much measuring this changes the time:\n",
         _shares(cases, record),
         _growth(record),
-        "## Against other ways to the same answer\n",
+        "## Other solvers and load paths\n",
         _references(cases, record),
         "## Against CalculiX\n",
         _calculix(record.get("sinusoid")),
@@ -105,18 +115,14 @@ def _state(found: dict | None) -> str:
 
 
 def _sizes(cases: dict, record: dict) -> str:
-    head = [
-        "case", "elements", "unknowns", "seconds", "aim", "floor, s", "s per million unknowns",
-        "Newton: all, finest", "Krylov: all, longest, ended", "peak memory, GB",
-        "predicted, GB", "aim",
-    ]  # fmt: skip
+    head = ["case", "elements", "unknowns", "seconds", "aim", "memory, GB", "predicted", "aim"]
     rows = []
     for name, case in cases.items():
         found = record.get(name)
         aim = f"{case.seconds:g}"
         memory = f"{case.gigabytes:g}" if case.gigabytes else ""
         if found is None or "failed" in found:
-            rows.append([case.text, name, "", _state(found), aim, *[""] * 6, memory])
+            rows.append([case.text, name, "", _state(found), aim, "", "", memory])
             continue
         rows.append(
             [
@@ -125,15 +131,30 @@ def _sizes(cases: dict, record: dict) -> str:
                 f"{found['unknowns']:,}",
                 f"{found['seconds']:.2f}",
                 aim,
-                f"{found['bytes_moved'] / found['machine']['bandwidth']:.2f}",
-                f"{_per_million(found):.2f}",
-                f"{found['newton']}, {found['newton_finest']}",
-                f"{found['krylov']}, {found['krylov_largest']}, {found['krylov_ended']}",
                 f"{found['peak_bytes'] / 1e9:.2f}",
                 f"{found['predicted_bytes'] / 1e9:.2f}",
                 memory,
             ]
         )
+    return _table(head, rows)
+
+
+def _work(cases: dict, record: dict) -> str:
+    head = [
+        "case", "s per million unknowns", "floor, s", "Newton: all", "finest", "Krylov: all",
+        "longest", "stopped",
+    ]  # fmt: skip
+    done = {n: found for n in cases if "seconds" in (found := record.get(n, {}))}
+    rows = [
+        [
+            cases[name].text,
+            f"{_per_million(found):.2f}",
+            f"{found['bytes_moved'] / found['machine']['bandwidth']:.2f}",
+            *(str(found[n]) for n in ("newton", "newton_finest")),
+            *(str(found[n]) for n in ("krylov", "krylov_largest", "krylov_ended")),
+        ]
+        for name, found in done.items()
+    ]
     return _table(head, rows)
 
 
@@ -143,9 +164,10 @@ def _shares(cases: dict, record: dict) -> str:
     rows = []
     for name, found in done.items():
         shares = [found["shares"].get(p, 0.0) for p in phases]
-        row = [f"{100 * s:.0f} %" for s in [*shares, 1 - sum(shares)]]
-        rows.append([cases[name].text, *row, f"{found['watched_seconds'] / found['seconds']:.2f}"])
-    return _table(["case", *phases, "rest", "watched / unwatched time"], rows)
+        row = [f"{100 * s:.0f}" for s in [*shares, 1 - sum(shares)]]
+        change = found["watched_seconds"] / found["seconds"] - 1
+        rows.append([cases[name].text, *row, f"{100 * change:+.0f}"])
+    return _table(["case", *phases, "rest", "change"], rows)
 
 
 def _growth(record: dict) -> str:
@@ -179,9 +201,9 @@ def _references(cases: dict, record: dict) -> str:
             ]
         )
     text = (
-        "Contact pressure of the case by the default way less that of the other, relative L2, and\n"
-        "total force likewise. Without the cascade the load path is followed on the grid itself;\n"
-        "friction depends on the path.\n"
+        "The difference of the contact pressure (relative L2 norm) and of the total force from\n"
+        "those of the default. Without nested iteration the load path is followed on the finest\n"
+        "grid; friction depends on the path.\n"
     )
     head = ["case", "seconds", "peak memory, GB", "contact pressure", "force"]
     return text + "\n" + _table(head, rows)

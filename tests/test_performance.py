@@ -1,5 +1,7 @@
 """The benchmark watches the functions it means to, and its page says what was not measured."""
 
+import json
+
 import numpy as np
 
 import performance
@@ -62,8 +64,14 @@ def test_the_page_tells_failures_and_what_was_not_run():
     lines = page.splitlines()
     assert "no result within 600 s" in next(line for line in lines if "7 x 7 mm at" in line)
     assert "not run" in next(line for line in lines if "coin 10 um" in line)
-    coin = next(line for line in lines if "coin 50 um" in line)
-    assert "| 2.00 |" in coin  # the floor
-    assert "| 99, 9, 3 |" in coin
+    size, work, _ = (line for line in lines if "coin 50 um" in line)
+    assert "| 4.00 |" in size
+    assert "| 2.00 |" in work  # the floor
+    assert "| 99 | 9 | 3 |" in work
     del record["1,000,000"]
     assert "is not known" in performance_page.page(performance.CASES, record)
+
+
+def test_the_page_is_that_of_its_record():
+    record = json.loads(performance.RECORD.read_text())
+    assert performance.PAGE.read_text() == performance_page.page(performance.CASES, record)
