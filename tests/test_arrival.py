@@ -87,7 +87,7 @@ def test_what_does_not_settle_is_nearly_converged_and_says_so(monkeypatch):
     assert TOLERANCES.force < now.force_error < 0.02
     assert residuals(now)["status"] == "nearly converged"
     result.maps.attrs.update(residuals(now))
-    warning = f"WARNING: nearly converged: .* {now.force_error:.1%} of the contact forces"
+    warning = f"WARNING: nearly converged: .* {100 * now.force_error:.2g} % of the contact forces"
     assert re.search(warning, summarise(result))
     monkeypatch.setattr(path, "_HELD", 1)
     with pytest.raises(path.LoadNotReached, match="does not come to rest"):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from optical_palpation.study.inputs import finding, reading
 from optical_palpation.study.schema import MapInput, Material, NumberInput, Study, VolumeInput
+
+_WIDTH = 88
 
 
 def reproducing_lines(study: Study) -> str:
@@ -46,7 +48,7 @@ def _lines(study: Study) -> Iterator[str]:
         yield 'loaded = thickness.clean_thickness(loaded)["thickness"]'
     yield f"silicone = {_law(study.material)}"
     if errors:
-        yield f"errors = palpation.InputErrors({_arguments(errors)})"
+        yield from _call("errors = palpation.InputErrors", _parts(errors))
     if modelled:
         yield from _with_sample(study, friction)
         return
@@ -73,13 +75,13 @@ def _with_sample(study: Study, friction: Mapping[str, object]) -> Iterator[str]:
     options = {
         key: value for key, value in options.items() if value is not None or key == "compression"
     }
-    parts = [_arguments(options)]
+    parts = _parts(options)
     if given.earlier:
         yield "loads = []"
         layer = {} if study.layer.extent is None else {"layer_extent": study.layer.extent}
         for load in given.earlier:
             reading = {key: of for key, of in load.reading.items() if of is not None} | layer
-            yield f"earlier = thickness.read_thickness_map({_arguments(reading, load.map)})"
+            yield from _call("earlier = thickness.read_thickness_map", _parts(reading, load.map))
             yield "cleaned = thickness.clean_thickness(earlier)"
             yield 'loads.append(cleaned["thickness"].where(~cleaned["filled"]))'
         yield "loaded = [*loads, loaded]"
@@ -92,7 +94,7 @@ def _with_sample(study: Study, friction: Mapping[str, object]) -> Iterator[str]:
         parts.append("law=silicone")
     elif isinstance(given.law, Material):
         parts.append(f"law={_law(given.law)}")
-    yield f"sample = stiffness.Sample({', '.join(parts)})"
+    yield from _call("sample = stiffness.Sample", parts)
     solving: dict[str, object] = {"element_size": grid.element_size}
     if given.stiffness_smoothing is not None:
         solving["smoothing"] = given.stiffness_smoothing
@@ -116,18 +118,40 @@ def _measured(side: str, source: VolumeInput | MapInput, extent: object) -> Iter
     layer = {} if extent is None else {"layer_extent": extent}
     if isinstance(source, MapInput):
         options = source.model_dump(exclude={"map"}, exclude_none=True) | layer
-        yield f"{side} = thickness.read_thickness_map({_arguments(options, source.map)})"
+        yield from _call(f"{side} = thickness.read_thickness_map", _parts(options, source.map))
         return
     options = finding(source)
     if source.corrections:
         options["corrections"] = source.corrections
-    yield f"with open_volume({_arguments(reading(source), source.volume)}) as volume:"
-    yield f"    found = thickness.find_layer({', '.join(['volume', _arguments(options)])})"
+    yield from _call("with open_volume", _parts(reading(source), source.volume), " as volume:")
+    yield from _call("    found = thickness.find_layer", ["volume", *_parts(options)])
     yield f'{side} = found["thickness"].where(~found["filled"])'
     if layer:
         yield f"{side} = {side}.assign_attrs({_arguments(layer)})"
 
 
 def _arguments(options: Mapping[str, object], first: str | None = None) -> str:
+    return ", ".join(_parts(options, first))
+
+
+def _parts(options: Mapping[str, object], first: str | None = None) -> list[str]:
     named = [f"{key}={value!r}" for key, value in options.items()]
-    return ", ".join(([] if first is None else [repr(first)]) + named)
+    return ([] if first is None else [repr(first)]) + named
+
+
+def _call(before: str, parts: Sequence[str], after: str = "") -> Iterator[str]:
+    """A call on one line, or its arguments on lines of their own where it would be too long."""
+    whole = f"{before}({', '.join(parts)}){after}"
+    if len(whole) <= _WIDTH:
+        yield whole
+        return
+    indent = before[: len(before) - len(before.lstrip())]
+    yield f"{before}("
+    line = ""
+    for part in parts:
+        if line and len(indent) + len(line) + len(part) + 6 > _WIDTH:
+            yield f"{indent}    {line}"
+            line = ""
+        line = f"{line} {part},".lstrip()
+    yield f"{indent}    {line}"
+    yield f"{indent}){after}"

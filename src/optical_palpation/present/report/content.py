@@ -29,6 +29,7 @@ from optical_palpation.present.summary import (
     stress_error,
     stress_figures,
 )
+from optical_palpation.present.tables import region_figure
 from optical_palpation.present.terms import (
     DIFFERENCE,
     LENGTH,
@@ -251,17 +252,28 @@ def region_rows(
     headings = ["Region"]
     for name in columns:
         units = found[name].attrs.get("units", "1")
-        words = str(found[name].attrs.get("long_name", name))
-        if f"{name}_error" in found:
-            words += " \N{PLUS-MINUS SIGN} error, at most"
+        words = _HEADINGS[name] + " \N{PLUS-MINUS SIGN} error" * (f"{name}_error" in found)
         units = {"1": "", "mm2": "mm\N{SUPERSCRIPT TWO}"}.get(units, units)
-        headings.append(words + (f", {units}" if units else ""))
+        headings.append(words + (f" ({units})" if units else ""))
     rows = []
     for k, region in enumerate(found["region"].values):
-        errors = (found[e].values[k] if (e := f"{n}_error") in found else None for n in columns)
-        numbers = zip((found[name].values[k] for name in columns), errors, strict=True)
-        rows.append((str(region), *(rounded(value, error) for value, error in numbers)))
+        row = found.isel(region=k)
+        rows.append((str(region), *(region_figure(row, name) for name in columns)))
     return headings, rows
+
+
+# Words of the table of regions, short enough for a phone.
+_HEADINGS = {
+    "mean": "Mean",
+    "standard_deviation": "s.d.",
+    "minimum": "Lowest",
+    "maximum": "Highest",
+    "force": "Force",
+    "area": "Area",
+    "missing": "No value",
+    "difference": "Less background",
+    "contrast": "Contrast",
+}
 
 
 def force_rows(result: StressResult) -> list[tuple[str, str]]:

@@ -21,6 +21,7 @@ from optical_palpation.present.output import provenance
 from optical_palpation.present.report import content
 from optical_palpation.present.report.bscans import draw_volume
 from optical_palpation.present.summary import methods, of_unknown_sample, summarise
+from optical_palpation.present.terms import percent
 from optical_palpation.runtime import software_version
 
 if TYPE_CHECKING:
@@ -154,6 +155,7 @@ def write_report(
     soft = of_unknown_sample(result.maps)
     cautions = [line.removeprefix(_MARK) for line in summary if line.startswith(_MARK)]
     environment = Environment(loader=PackageLoader(__package__, "templates"), autoescape=True)
+    environment.filters |= {"whole": _whole, "percent": percent}
     script, style = (
         Markup("\n".join(_template(environment, name) for name in names))
         for names in (SCRIPTS, ["report.css"])
@@ -197,11 +199,17 @@ def _template(environment: Environment, name: str) -> str:
     return environment.loader.get_source(environment, name)[0].strip()
 
 
+def _whole(text: str) -> str:
+    """Text that breaks no line between a number, or its error, and its unit."""
+    text = re.sub(r"(?<=[\d)]) (?=(?:mN|kPa|mm|um|\N{MICRO SIGN}m|%)(?!\w))", "\u00a0", text)
+    return text.replace(" \N{PLUS-MINUS SIGN} ", " \N{PLUS-MINUS SIGN}\u00a0")
+
+
 def _sentence(text: str) -> Markup:
     """Text that begins with a capital, and breaks no line within an option of the command."""
     from markupsafe import Markup, escape
 
-    safe = str(escape(text[:1].upper() + text[1:]))
+    safe = str(escape(_whole(text[:1].upper() + text[1:])))
     return Markup(re.sub(r"--[a-z][a-z-]*", r'<span class="whole">\g<0></span>', safe))
 
 

@@ -86,6 +86,15 @@ function shown(value, units = "") {
   return units ? `${digits}\u202f${units}` : digits;
 }
 
+// Numbers with as many decimals each as tell steps of a size apart, less zeros that all end in.
+function alike(values, step) {
+  const most = clamp(Math.ceil(-Math.log10(step)), 0, 9);
+  const written = (places) => values.map((v) => v.toFixed(places).replace("-", "\u2212"));
+  let places = most;
+  while (places > 0 && written(places).every((text) => text.endsWith("0"))) places -= 1;
+  return written(places);
+}
+
 function millimetres(value) {
   return `${value.toFixed(3).replace("-", "\u2212")}\u202fmm`;
 }

@@ -126,9 +126,9 @@ class MapPlot extends Plot {
     for (let k = 0; k < 256; k += 15) stops.push(`rgb(${palette.slice(3 * k, 3 * k + 3)})`);
     const strip = element("i");
     strip.style.background = `linear-gradient(to right, ${stops})`;
-    const places = clamp(Math.ceil(-Math.log10((high - low) / 2000)), 0, 9);
-    const ends = [low, (low + high) / 2, high].map((v) =>
-      element("span", {}, shown(Number(v.toFixed(places)), units)),
+    const unit = units && `\u202f${units}`;
+    const ends = alike([low, (low + high) / 2, high], (high - low) / 200).map((number) =>
+      element("span", {}, number + unit),
     );
     const label = `Colours from ${shown(low, units)} to ${shown(high, units)}`;
     return element("div", { class: "colours", role: "img", "aria-label": label }, strip, ...ends);

@@ -98,6 +98,8 @@ function linkScans(scans) {
     boundaries.parentElement.hidden = zoomed.parentElement.hidden = true;
     document.getElementById("lines-legend").hidden = true;
   }
+  const interpolated = scans.some((plot) => plot.entry.lines.filled?.some((of) => of));
+  document.getElementById("unseen-label").hidden = !interpolated;
 }
 
 function linkBar(plots, masked) {

@@ -36,7 +36,7 @@ function svg(name, attributes = {}) {
   return made;
 }
 
-// Round numbers within [low, high].
+// Round numbers within [low, high], two at least: one alone is no scale.
 function ticks(low, high, count) {
   const rough = (high - low) / Math.max(count, 1);
   const power = 10 ** Math.floor(Math.log10(rough));
@@ -45,7 +45,7 @@ function ticks(low, high, count) {
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) {
     found.push(Number((k * step).toPrecision(12)));
   }
-  return found;
+  return found.length < 2 && count < 100 ? ticks(low, high, 2 * count) : found;
 }
 
 // Pixels for which plots are laid out on paper, which is narrower than the screen: were the plots of

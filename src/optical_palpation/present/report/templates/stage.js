@@ -279,7 +279,9 @@ class Stage extends MapPlot {
       const corners = kind === "line" ? [a, b] : [a, [b[0], a[1]], b, [a[0], b[1]]];
       parts.push(...this.outline(corners, kind !== "line", String(k + 1)));
     });
-    this.overlay.replaceChildren(...parts, ...this.scaleBar());
+    const corners = this.regions.flatMap((region) => region.outlines.flat());
+    corners.push(...this.shapes.flatMap((shape) => shape.points));
+    this.overlay.replaceChildren(...parts, ...this.scaleBar(corners));
   }
 
   outline(corners, closed, label) {
@@ -290,15 +292,17 @@ class Stage extends MapPlot {
     return [svg("path", { class: "halo hollow", d }), svg("path", { class: "shape", d }), words];
   }
 
-  // A round length of about a quarter of the frame.
-  scaleBar() {
+  // A round length of about a quarter of the frame, on the left if something is drawn on the right.
+  scaleBar(drawn) {
     const [low, high] = this.axes.x.range;
     const rough = (high - low) / 4;
     const power = 10 ** Math.floor(Math.log10(rough));
     const length = [5, 2, 1].find((m) => m * power <= rough * 1.001) * power;
     const wide = (length / (high - low)) * this.width;
-    const right = MARGIN.left + this.width - 12;
     const bottom = MARGIN.top + this.height - 12;
+    const far = MARGIN.left + this.width - 12;
+    const taken = drawn.some(([x, y]) => this.toX(x) > far - wide - 40 && this.toY(y) > bottom - 60);
+    const right = taken ? MARGIN.left + 12 + wide : far;
     const name = length < 0.1 ? `${Number((1000 * length).toPrecision(3))} \u00b5m` : `${length} mm`;
     const words = text(name, right - wide / 2, bottom - 9);
     words.setAttribute("class", "label");
