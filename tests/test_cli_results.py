@@ -113,7 +113,7 @@ def test_results_of_one_name_are_told_apart_by_their_folders(here, run):
     assert "after: rms" in out
     assert "last: rms" in out
     drawn = (here / "c.svg").read_text()
-    for words in ("before (kPa)", "after less (a) (kPa)", "last less (a) (kPa)"):
+    for words in ("before (kPa)", "(b) less (a) (kPa)", "(c) less (a) (kPa)"):
         assert words in drawn
     options = [option for file in files[1:] for option in ("--compare", file)]
     assert run("report", files[0], "--output", "r.html", *options)[0] == 0

@@ -181,12 +181,18 @@ def _named(results: Sequence[Path]) -> dict[str, Path]:
     whole = [path.resolve() for path in results]
     if len(set(whole)) < len(whole):
         raise typer.BadParameter("the same result is given twice")
-    files = [path.name if path.is_dir() else path.stem for path in whole]
+    files = [_study_name(path) if path.is_dir() else path.stem for path in whole]
     folders = [path.name if path.is_dir() else path.parent.name for path in whole]
     for names in (files, folders, [str(path) for path in results]):
         if len(set(names)) == len(names):
             break
     return dict(zip(names, results, strict=True))
+
+
+def _study_name(folder: Path) -> str:
+    """What to call the result folder of a study: by the study."""
+    name = folder.parent.name if folder.name == "results" else folder.name.removesuffix("-results")
+    return name or folder.name
 
 
 def report(
@@ -226,7 +232,7 @@ def report(
         volumes=None,
         parameters={},
         python=f"import optical_palpation as op\n\nresult = op.read_result({path!r})\n",
-        title=title or (result.resolve().name if result.is_dir() else result.stem),
+        title=title or next(iter(_named([result]))),
         warnings=study.warnings_about(one),
         others=others,
         regions=read_regions(regions, one.maps) if regions else (),

@@ -90,7 +90,7 @@ def uncertainty(
     from optical_palpation.analysis import Noise, stress_uncertainty
     from optical_palpation.palpation.threads import limited_threads
     from optical_palpation.present.uncertainty_figure import write_uncertainty_figure
-    from optical_palpation.present.uncertainty_file import write_uncertainty
+    from optical_palpation.present.uncertainty_file import uncertainty_in_words, write_uncertainty
     from optical_palpation.study.compute import solver_settings
 
     if not any((window_friction, sample_friction, modulus, thickness, thickness_noise)):
@@ -134,17 +134,5 @@ def uncertainty(
     write_uncertainty_figure(errors, plot)
     if quiet:
         return
-    force, error = errors.attrs["force_mN"], errors.attrs["force_error_mN"]
-    print(f"total force {force:.4g} ± {error:.2g} mN")
-    for name in errors["input"].values:
-        here = errors.sel(input=name)
-        print(
-            f"  {str(name).replace('_', ' ')}: ± {float(here['force_contribution']):.2g} mN, "
-            f"± {float(here['contribution'].mean()):.2g} kPa on average"
-        )
-    stress = float(errors["axial_stress"].mean())
-    print(
-        f"axial stress on average {stress:.3g} ± {float(errors['axial_stress_error'].mean()):.2g}"
-        " kPa"
-    )
+    print(uncertainty_in_words(errors))
     print_files({"result": output, "picture": plot})

@@ -103,6 +103,7 @@ def watch(
 
 
 def _tell(arrival: object, quiet: bool) -> None:
+    from optical_palpation.present.terms import plain, rounded
     from optical_palpation.study.watch import Arrival
 
     assert isinstance(arrival, Arrival)
@@ -110,10 +111,8 @@ def _tell(arrival: object, quiet: bool) -> None:
         print(f"{arrival.file}: failed: {arrival.message}", flush=True)
     elif not quiet:
         row = arrival.row
-        said = (
-            f"{arrival.file}: force {float(row['sample_force_mN']):.4g} mN, mean axial stress "
-            f"{float(row['mean_axial_stress_kPa']):.4g} kPa"
-        )
+        force, mean = (rounded(row[key]) for key in ("sample_force_mN", "mean_axial_stress_kPa"))
+        said = plain(f"{arrival.file}: force {force} mN, mean axial stress {mean} kPa")
         took = " (earlier)" if arrival.status == "earlier" else f", {arrival.seconds:.2f} s"
         print(said + took, flush=True)
         if row.get("warnings"):

@@ -55,13 +55,14 @@ def write_comparison_figure(comparison: xr.Dataset, path: str | Path) -> None:
     each = 178.0 / max(len(fields), 3)
     width = each * len(fields)
     with figure_file(path, width, 2 * ((each - 20.0) * aspect + 20.0)) as figure:
+        figure.suptitle(what.words)
         axes = figure.subplots(2, len(fields), squeeze=False)
         for k, (name, field) in enumerate(fields.items()):
             short = name if len(name) <= _LONGEST else f"…{name[1 - _LONGEST :]}"
             named = Term(short, what.units, what.colours, what.scale)
             draw_map(axes[0, k], field, named, limits=limits)
             if name in differences:
-                named = Term(f"{short} less (a)", what.units, DIFFERENCE, "")
+                named = Term(f"({chr(ord('a') + k)}) less (a)", what.units, DIFFERENCE, "")
                 draw_map(axes[1, k], differences[name], named, limits=spread)
         axes[1, 0].remove()
         letter([*axes[0], *axes[1, 1:]])

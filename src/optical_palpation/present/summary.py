@@ -153,6 +153,7 @@ INPUTS = {
     "sample_friction": "friction at the sample",
     "modulus": "stiffness of the layer",
     "thickness": "loaded thickness",
+    "thickness_noise": "noise of the loaded thickness",
     "initial_thickness": "unloaded thickness",
     "plate_friction": "friction at the plate",
     "compression": "travel of the plate",

@@ -39,8 +39,8 @@ def table_in_words(table: xr.Dataset) -> str:
     lines = [str(table.attrs["long_name"])]
     for name in table["region"].values:
         row = table.sel(region=name)
-        spread = float(row["standard_deviation"])
-        parts = [f"mean {_said(row, 'mean')} {units} (standard deviation {spread:.2g})"]
+        spread = _said(row, "standard_deviation")
+        parts = [f"mean {_said(row, 'mean')} {units} (standard deviation {spread})"]
         parts.append(f"{_said(row, 'minimum')} to {_said(row, 'maximum')} {units}")
         if "force" in row:
             parts.append(f"force {_said(row, 'force')} mN")
@@ -51,9 +51,21 @@ def table_in_words(table: xr.Dataset) -> str:
     return "\n".join(lines)
 
 
+# Numbers in the unit of the map without an error of their own: no more digits than the mean has.
+_LIKE_MEAN = ("minimum", "maximum", "standard_deviation", "difference")
+
+
+def region_figure(row: xr.Dataset, name: str) -> str:
+    """A number of one region to the digits that its error leaves, with that error where known."""
+    own = row.get(f"{name}_error")
+    if own is not None:
+        return rounded(row[name], own)
+    error = row.get("mean_error") if name in _LIKE_MEAN else None
+    return rounded(row[name], error).partition(" ")[0]
+
+
 def _said(row: xr.Dataset, name: str) -> str:
-    """A number to the digits that its error leaves, with the minus of a terminal."""
-    return plain(rounded(row[name], row.get(f"{name}_error")))
+    return plain(region_figure(row, name))
 
 
 def result_columns(result: StressResult) -> dict[str, Any]:

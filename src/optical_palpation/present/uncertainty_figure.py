@@ -8,15 +8,8 @@ import numpy as np
 import xarray as xr
 
 from optical_palpation.present.figure import draw_map, figure_file, letter
-from optical_palpation.present.terms import COMPUTATIONAL, term
-
-_INPUTS = {
-    "window_friction": "friction at the window",
-    "sample_friction": "friction at the sample",
-    "modulus": "stiffness of the layer",
-    "thickness": "thickness, common error",
-    "thickness_noise": "thickness, noise",
-}
+from optical_palpation.present.summary import INPUTS
+from optical_palpation.present.terms import COMPUTATIONAL, rounded, term
 
 
 def write_uncertainty_figure(uncertainty: xr.Dataset, path: str | Path) -> None:
@@ -36,10 +29,10 @@ def write_uncertainty_figure(uncertainty: xr.Dataset, path: str | Path) -> None:
         what = term(uncertainty, "axial_stress_error")
         limits = (0.0, float(np.nanpercentile(error, 99)) or 1.0)
         draw_map(top_left, error, what, limits=limits)
-        names = [_INPUTS.get(str(n), str(n).replace("_", " ")) for n in uncertainty["input"].values]
+        names = [INPUTS.get(str(n), str(n).replace("_", " ")) for n in uncertainty["input"].values]
         top_right.barh(names, uncertainty["force_contribution"], color=COMPUTATIONAL)
         force, spread = uncertainty.attrs["force_mN"], uncertainty.attrs["force_error_mN"]
-        top_right.set_title(f"Total force {force:.4g} ± {spread:.2g} mN", loc="left")
+        top_right.set_title(f"Total force {rounded(force, spread)} mN", loc="left")
         top_right.set_xlabel("contribution to its error (mN)")
         for axes, axis, across in ((left, "x", "y"), (right, "y", "x")):
             middle = {across: stress.sizes[across] // 2}
@@ -51,4 +44,6 @@ def write_uncertainty_figure(uncertainty: xr.Dataset, path: str | Path) -> None:
             axes.set_title(f"{across} = {at:.3g} mm", loc="left")
             axes.set(xlabel=f"{axis} (mm)", ylabel="axial stress (kPa)")
             axes.grid()
+        right.sharey(left)
+        right.autoscale(axis="y")
         letter([top_left, top_right, left, right])

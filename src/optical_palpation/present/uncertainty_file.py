@@ -1,4 +1,4 @@
-"""Error maps as NetCDF files."""
+"""Error maps as NetCDF files and in words."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from pathlib import Path
 import xarray as xr
 
 from optical_palpation.present.output import atomic
+from optical_palpation.present.summary import INPUTS
+from optical_palpation.present.terms import plain, rounded
 from optical_palpation.runtime import software_version
 
 _NAMES = {
@@ -39,3 +41,18 @@ def write_uncertainty(uncertainty: xr.Dataset, path: str | Path) -> None:
     content = dataset.to_netcdf(engine="h5netcdf", encoding=compressed)
     with atomic(path, "result") as temporary:
         temporary.write_bytes(content)
+
+
+def uncertainty_in_words(uncertainty: xr.Dataset) -> str:
+    """Return force and mean stress with their errors, and what contributes to these, as lines."""
+    force = rounded(uncertainty.attrs["force_mN"], uncertainty.attrs["force_error_mN"])
+    lines = [f"total force {force} mN"]
+    for name in uncertainty["input"].values:
+        here = uncertainty.sel(input=name)
+        of_force = rounded(here["force_contribution"], digits=2)
+        of_stress = rounded(here["contribution"].mean(), digits=2)
+        words = INPUTS.get(str(name), str(name).replace("_", " "))
+        lines.append(f"  {words}: ±{of_force} mN, ±{of_stress} kPa on average")
+    stress, error = (uncertainty[n].mean() for n in ("axial_stress", "axial_stress_error"))
+    lines.append(f"axial stress on average {rounded(stress, error)} kPa")
+    return plain("\n".join(lines))

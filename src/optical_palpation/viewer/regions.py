@@ -19,7 +19,7 @@ from qtpy.QtWidgets import (
 
 from optical_palpation.analysis import Region, read_regions, region_statistics, write_regions
 from optical_palpation.errors import InputError, OpticalPalpationError
-from optical_palpation.present.tables import write_table
+from optical_palpation.present.tables import region_figure, write_table
 from optical_palpation.present.terms import is_map, rounded, term
 from optical_palpation.viewer.buttons import button_row
 from optical_palpation.viewer.layers import region_layer, regions_from
@@ -241,5 +241,4 @@ def _cell(found: xr.Dataset, name: str, row: int) -> str:
         return ""
     if name.endswith("_error"):
         return rounded(value, digits=2)
-    error = found.get(f"{name}_error")
-    return rounded(value, None if error is None else error[row]).partition(" ")[0]
+    return region_figure(found.isel(region=row), name).partition(" ")[0]
