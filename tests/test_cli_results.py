@@ -273,7 +273,11 @@ def test_check_reads_everything_and_writes_nothing(here, run, told):
     status, out, err = run("run", "study.toml", "--check")
     assert (status, err) == (0, "")
     assert "loaded map of 41 x 31 pixels" in out
+    assert "WARNING" not in out
     assert told == []
+    status, out, _ = run("run", "study.toml", "--check", "--set", "material.c10=2230")
+    assert status == 0
+    assert "WARNING: study.toml, [material]: the layer is as stiff as hard rubber" in out
     (here / "map.npy").write_bytes(b"damaged")
     status, _, err = run("run", "study.toml", "--check")
     assert status == 2

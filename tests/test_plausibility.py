@@ -79,7 +79,8 @@ SPACED = "spacing = { z = 0.0029, y = 0.03, x = 0.03 }"
         ('volume = "unloaded.npy"', "thickness = 1.5", ["more than the depth of the loaded"]),
         ("[volumes]", "[volumes]\nsample_range = [300, 400]", ["sample_range", "outside"]),
         ("[volumes]", "[volumes]\nwindow = 60.0", ["window = 60", "outside"]),
-        ("[grid]", "[layer]\nextent = [20, 30, 0, 1]\n[grid]", ["layer.extent", "no part"]),
+        ("[grid]", "[layer]\nextent = [20, 30, 0, 1]\n[grid]", ["layer.extent", "must lie within"]),
+        ("[grid]", "[layer]\nextent = [0, 30, 0, 1]\n[grid]", ["layer.extent", "must lie within"]),
     ],
 )
 def test_a_study_of_volumes_is_refused_before_they_are_worked_on(here, old, new, words):

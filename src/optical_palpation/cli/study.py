@@ -64,6 +64,7 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Do everything that study files ask for; continue where an earlier run was interrupted."""
+    from optical_palpation.palpation.plausibility import unusual_layer
     from optical_palpation.study import describe_inputs, read_study
 
     if output is not None and len(files) > 1:
@@ -86,6 +87,8 @@ def run(
             said = describe_inputs(asked)
             if not quiet:
                 print(f"{asked.file}: can be run; {said}; results would go to {asked.folder}")
+            for warning in unusual_layer(asked.material.make()):
+                print(f"WARNING: {asked.file}, [material]: {warning}")
         return
     failed: list[OpticalPalpationError] = []
     for asked in studies:

@@ -126,6 +126,22 @@ def check_stress(algebraic: xr.DataArray) -> None:
         )
 
 
+def unusual_layer(law: Law) -> list[str]:
+    """Say what is possible but rare about the material of a layer."""
+    modulus = law.initial_youngs_modulus
+    if modulus > STIFF_LAYER:
+        return [
+            f"the layer is as stiff as hard rubber (Young's modulus {modulus / 1e3:.3g} MPa): are "
+            "its coefficients in kPa?"
+        ]
+    if modulus < SOFT_LAYER:
+        return [
+            f"the layer is softer than gels that keep their shape (Young's modulus "
+            f"{1e3 * modulus:.3g} Pa): are its coefficients in kPa?"
+        ]
+    return []
+
+
 def unusual(law: Law, maps: xr.Dataset) -> list[str]:
     """Say what is possible but rare about a layer and its result.
 
@@ -136,17 +152,7 @@ def unusual(law: Law, maps: xr.Dataset) -> list[str]:
     maps
         Maps of a result, with ``loaded_thickness`` and the attribute ``initial_thickness_mm``.
     """
-    said = []
-    if (modulus := law.initial_youngs_modulus) > STIFF_LAYER:
-        said.append(
-            f"the layer is as stiff as hard rubber (Young's modulus {modulus / 1e3:.3g} MPa): are "
-            "its coefficients in kPa?"
-        )
-    if modulus < SOFT_LAYER:
-        said.append(
-            f"the layer is softer than gels that keep their shape (Young's modulus "
-            f"{1e3 * modulus:.3g} Pa): are its coefficients in kPa?"
-        )
+    said = unusual_layer(law)
     thickness = maps.attrs["initial_thickness_mm"]
     width = min(float(np.ptp(maps[axis].values)) for axis in "yx")
     if thickness > width:

@@ -22,6 +22,9 @@ from optical_palpation.study.inputs import by_side, earlier_loads, modelled_samp
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
 from optical_palpation.thickness import read_thickness_map
 
+#: Of the width of a map, by which an extent may reach beyond it.
+_SLACK = 1e-3
+
 
 def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
     """Refuse numbers that cannot be those of a layer, or do not fit to the files or each other.
@@ -152,11 +155,13 @@ def _check_ranges(source: VolumeInput, shallow: float, deep: float, where: str) 
 def _layer(study: Study, field: tuple[float, ...]) -> tuple[float, float, float, float]:
     """x0, x1, y0, y1 of the part of the loaded map that the layer covers."""
     given = study.layer.extent or field
-    x0, y0 = max(given[0], field[0]), max(given[2], field[2])
-    x1, y1 = min(given[1], field[1]), min(given[3], field[3])
-    if not (x0 < x1 and y0 < y1):
+    x0, x1, y0, y1 = given
+    slack = _SLACK * max(field[1] - field[0], field[3] - field[2])
+    beyond = max(field[0] - x0, x1 - field[1], field[2] - y0, y1 - field[3])
+    if beyond > slack or not (x0 < x1 and y0 < y1):
         raise InputError(
-            f"{study.file}: layer.extent = {list(given)} mm has no part in the loaded map, "
-            f"x {field[0]:g} to {field[1]:g} mm, y {field[2]:g} to {field[3]:g} mm"
+            f"{study.file}: layer.extent = {list(given)} mm (x0, x1, y0, y1) must lie within the "
+            f"loaded map, x {field[0]:g} to {field[1]:g} mm, y {field[2]:g} to {field[3]:g} mm. "
+            'Leave it out if the layer goes on beyond, and see to "edges" in [grid]'
         )
     return x0, x1, y0, y1
