@@ -28,8 +28,9 @@ from .problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
 
-#: How much further from balance than one of ``TOLERANCES`` other equilibria may be: the full load on
-#: coarser grids, and smaller loads. Looser ones, whatever the last tolerances, end on other branches.
+#: How much further from balance than ``TOLERANCES`` ask other equilibria may be: the full load on
+#: coarser grids, and smaller loads. Looser ones, whatever the last tolerances, end on other
+#: branches.
 _COARSER, _ON_THE_WAY = 100.0, 1000.0
 #: The load is followed on a grid of at most this share of the finest one's elements: it must not
 #: take longer than the finest. Below the first number that is not worth while; beyond the second,
