@@ -500,3 +500,21 @@ def test_surface_follows_what_elements_can_and_leaves_the_noise():
     )
     slope = 0.05 * 2 * np.pi / 1.1 * np.cos(2 * np.pi * at_x / 1.1) * np.cos(at_y)
     assert np.abs(surface(at_x, at_y, dx=1) - slope).mean() < 0.02
+
+
+def test_surface_goes_straight_on_where_the_rim_was_not_measured():
+    """Knots of which next to no pixel is known must not run away, and the rim does not count."""
+    x = np.linspace(0, 4, 161)
+    true = 0.4 + 0.05 * np.sin(2 * np.pi * x / 2.1)[None] * np.cos(x)[:, None]
+    thickness = xr.DataArray(true.copy(), {"y": x, "x": x}, ("y", "x"))
+    thickness[:, :2] = np.nan
+    thickness[30:60, :4] = np.nan
+    thickness[100:104, :9] = np.nan
+    surface = ThicknessSurface.fitted(thickness, 0.0625)
+    at_y, at_x = (points.ravel() for points in np.meshgrid(x, x, indexing="ij"))
+    off = np.abs(surface(at_x, at_y) - true.ravel())
+    assert off.max() < 0.01
+    covered = surface.covers(at_x, at_y)
+    np.testing.assert_array_equal(covered, np.isfinite(thickness.values).ravel())
+    assert off[covered].max() < 2e-4
+    assert not surface.covers(np.array([-0.001, 4.001]), np.array([1.0, 1.0])).any()

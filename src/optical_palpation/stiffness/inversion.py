@@ -14,6 +14,7 @@ that of a coarse mesh, r that of the finest.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -411,10 +412,12 @@ class _Search:
         else:
             least = solved(_ALPHAS[-1])[1]
             target = max(1.0, _NEAR_LEAST * least)
-            for alpha in _ALPHAS:
-                step, remaining, matrix = solved(alpha)
-                if remaining <= target:
-                    break
+            # The weaker, the less is left: the first that is weak enough.
+            n = bisect_left(
+                _ALPHAS, True, hi=len(_ALPHAS) - 1, key=lambda a: solved(a)[1] <= target
+            )
+            alpha = _ALPHAS[n]
+            step, _, matrix = solved(alpha)
         largest = np.full(len(row), _LARGEST)
         largest[order.of_relief] = _HIGHEST * self.thickness
         if order.travels:
