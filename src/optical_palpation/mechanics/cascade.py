@@ -28,8 +28,8 @@ from .problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
 
-#: How much further from balance than ``TOLERANCES`` ask other equilibria may be: the full load on
-#: coarser grids, and smaller loads. Looser ones, whatever the last tolerances, end on other
+#: How much further from balance than the last equilibrium others may be: the full load on coarser
+#: grids, and smaller loads. Where the last one is loose these are not: they would end on other
 #: branches.
 _COARSER, _ON_THE_WAY = 100.0, 1000.0
 #: The load is followed on a grid of at most this share of the finest one's elements: it must not
@@ -162,7 +162,8 @@ def solve(
     tolerances, control = tolerances or TOLERANCES, control or StepControl()
     record: list[tuple[int, float, int]] = []
 
-    coarser_grid, on_the_way = relaxed(TOLERANCES, _COARSER), relaxed(TOLERANCES, _ON_THE_WAY)
+    least = min(tolerances, TOLERANCES, key=lambda wanted: wanted.force)
+    coarser_grid, on_the_way = relaxed(least, _COARSER), relaxed(least, _ON_THE_WAY)
 
     def wanted(level: LayerProblem) -> Tolerances:
         return tolerances if level is problem else coarser_grid
