@@ -1,7 +1,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# A file at a time on each core, because the tests of a file share solutions, in conftest.py's order.
+# Order and what stays together on a core: tests/conftest.py.
 ON_ALL_CORES := --numprocesses auto --dist loadscope --no-loadscope-reorder
 
 .PHONY: demo test test-quick lint docs pictures protocol package clean

@@ -56,6 +56,19 @@ def pytest_collection_modifyitems(items):
             item.add_marker("quick")
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """A file at a time on each core: its tests share solutions. A page of docs is on its own."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Files(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            alone = "::test_every_block_runs[" in nodeid
+            return nodeid if alone else super()._split_scope(nodeid)
+
+    return Files(config, log) if config.getoption("dist") == "loadscope" else None
+
+
 def pytest_sessionfinish(session):
     """Fail where a test was skipped that should run; with xdist where the reports arrive."""
     path = session.config.getoption("--allowed-skips")

@@ -18,11 +18,21 @@ from optical_palpation.cli import main
 from optical_palpation.study.record import RECORD
 from study_case import STUDY, make_study, make_volumes
 
-KILLS = 20
 # A process that has imported all it needs and is copied for every run: the kills are to strike
 # while the study runs, and not while Python starts.
 CONTEXT = multiprocessing.get_context("forkserver")
-CONTEXT.set_forkserver_preload(["test_study_interrupted", "optical_palpation.study"])
+CONTEXT.set_forkserver_preload(
+    [
+        "test_study_interrupted",
+        *(
+            "optical_palpation.cli.study",
+            "optical_palpation.palpation",
+            "optical_palpation.present",
+        ),
+        *("dask.array", "distributed", "pint"),  # for which xarray looks where they are installed
+        *("matplotlib.backends.backend_agg", "matplotlib.figure"),
+    ]
+)
 # Every start also polls the processes of the other threads, and the status of a process can be
 # read once only: the second reader finds 255.
 POLLING = threading.Lock()
@@ -88,12 +98,11 @@ def test_killed_at_random_moments(undisturbed, tmp_path):
         for path in undisturbed.glob("*.*"):
             (folder / path.name).hardlink_to(path)
         results = folder / "study-results"
-        # Somewhere in a stage; how long it takes depends on what else the machine does.
-        stage, moment = divmod(len(seconds) * (n + random.Random(n).random()) / KILLS, 1)
+        # Somewhere in stage n; how long it takes depends on what else the machine does.
         process = start(folder)
-        if stage:
-            wait_for(int(stage), results)
-        time.sleep(moment * seconds[int(stage)])
+        if n:
+            wait_for(n, results)
+        time.sleep(random.Random(n).random() * seconds[n])
         process.kill()
         killed = finish(process) == -signal.SIGKILL
         before = check_whole(results, expected)
@@ -110,8 +119,8 @@ def test_killed_at_random_moments(undisturbed, tmp_path):
         return killed
 
     with ThreadPoolExecutor(4) as pool:
-        killed = list(pool.map(kill_and_resume, range(KILLS)))
-    assert sum(killed) >= KILLS - 2  # the last may come too late
+        killed = list(pool.map(kill_and_resume, range(len(seconds))))
+    assert sum(killed) >= len(seconds) - 2  # the last may come too late
 
 
 def check_whole(results: Path, expected: dict[str, bytes]) -> dict[str, dict]:
