@@ -8,9 +8,10 @@ import re
 import subprocess
 import sys
 import tempfile
+from contextlib import chdir
 from pathlib import Path
+from typing import Any
 
-import pandas as pd
 import xarray as xr
 
 PAGE = Path(__file__).with_name("protocol.md")
@@ -32,7 +33,7 @@ QUANTITIES = (
         "± 2 um",
     ),
 )
-#: Rows of the second table, by the name of the scan on the page.
+#: Rows of the second table, by its name in the example of the page.
 CHOICES = {
     "edges-padded": "the layer is taken to go on beyond the field (`padded`), and ends there: "
     "force of the continued layer",
@@ -57,13 +58,13 @@ def main() -> None:
             maps = xr.load_dataset(results / "thickness.nc", engine="h5netcdf")
             depth = (maps["initial_thickness"] - maps["loaded_thickness"]).sel(x=LAYER, y=LAYER)
             indentation[name] = 1e3 * float(depth.mean())
-        lines = re.search(r"cat > choices.csv <<'END'\n(.*?)END\n", text, re.S)
-        assert lines is not None
-        (folder / "choices.csv").write_text(lines[1])
-        run(folder, "batch", "choices.csv")
-        scans = pd.read_csv(folder / "choices-results" / "scans.csv").set_index("scan")
+        example = re.search(r"```python\n(.*?)```", text, re.S)
+        assert example is not None
+        names: dict[str, Any] = {}
+        with chdir(folder):
+            exec(example[1], names)
     text = with_table(text, "| quantity |", errors_table(found))
-    text = with_table(text, "| wrong choice |", choices_table(scans["window_force_mN"]))
+    text = with_table(text, "| wrong choice |", choices_table(names["change"]))
     text, count = re.subn(
         r"2 um are \S+ % of the mean\s+indentation of \*relief\*, \S+ um, and \S+ % of that of "
         r"\*nodule\*, \S+ um\.",
@@ -104,11 +105,11 @@ def errors_table(found: dict[str, xr.Dataset]) -> str:
     return "\n".join(rows)
 
 
-def choices_table(forces: pd.Series) -> str:
+def choices_table(changes: dict[str, float]) -> str:
     """What choices that are wrong cost in the force."""
     rows = ["| wrong choice | force of *relief* |", "| --- | --- |"]
     for name, what in CHOICES.items():
-        change = 100 * (forces[name] / forces["as-is"] - 1)
+        change = 100 * changes[name]
         rows.append(f"| {what} | {'+' if change > 0 else '-'} {abs(change):.0f} % |")
     return "\n".join(rows)
 
