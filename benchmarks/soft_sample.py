@@ -1,6 +1,7 @@
 """Stress and stiffness of samples that nobody tracked, against virtual experiments.
 
 python benchmarks/soft_sample.py [SCENE ...] [--element-size 0.125] [--truth 0.0833] [--flat]
+    [--columns]
 python benchmarks/soft_sample.py --random 20
 
 The truth is computed on other, finer elements, and gets 1 um of noise on each pixel; frictions,
@@ -9,7 +10,8 @@ stress (root mean square, one thickness of the layer and more from its sides) by
 method, on an imprint at rest and with the sample in the model; those of the force; how much of the
 map its 95 % band contains, with the errors of the inputs that are taken by default or, with
 ``--exact``, with none; misfit and time. ``--flat``
-withholds the relief; with ``--loads`` the stress comes from that many loads up to the full one, and
+withholds the relief; ``--columns`` gives the true sample the mean stiffness of each column, as the
+model has it; with ``--loads`` the stress comes from that many loads up to the full one, and
 of a relief that is withheld it is then found. With ``--off`` the frictions, the travel, the
 thicknesses and the modulus that are stated are off at random, by the errors that the bands are for.
 """
@@ -80,6 +82,19 @@ def random_scene(seed: int) -> Scene:
     )
 
 
+def even_columns(scene: Scene) -> tuple[Scene, xr.DataArray]:
+    """The scene without stiffness, and the means of that over the depth."""
+    (width, height), below = scene.sample.size, scene.sample.thickness
+    x, y = (np.arange(0.0, size + 0.01, 0.02) for size in (width, height))
+    points = np.meshgrid(np.linspace(0, below, 40), y, x, indexing="ij")
+    factor = np.ones(points[0].shape)
+    for feature in scene.sample.stiffness:
+        factor = feature.apply(factor, points[2], points[1], points[0])
+    even = scene.sample.model_copy(update={"stiffness": ()})
+    mean = xr.DataArray(factor.mean(0), {"y": y, "x": x}, ("y", "x"), attrs={"units": "1"})
+    return scene.model_copy(update={"sample": even}), mean
+
+
 def error(stress: xr.DataArray, truth: ExperimentResult) -> float:
     """Relative error of an axial stress map, root mean square over the interior."""
     margin, (width, height) = truth.scene.layer.thickness, truth.scene.layer.size
@@ -136,10 +151,13 @@ def compared(scene: Scene, asked: argparse.Namespace) -> dict[str, float]:
     inputs = None if asked.exact else InputErrors()
     mesh = scene.mesh.model_copy(update={"edge_size": None})
     scene = scene.model_copy(update={"mesh": mesh, "pixel_spacing": 0.025})
+    scene, columns = even_columns(scene) if asked.columns else (scene, None)
     fine = with_element_size(scene, asked.truth)
     travels = [scene.compression * (n + 1) / (count + 1) for n in range(1, count)]
     travels.append(scene.compression)
-    truths = [run_experiment(with_compression(fine, travel)) for travel in travels]
+    truths = [
+        run_experiment(with_compression(fine, travel), stiffness=columns) for travel in travels
+    ]
     truth, friction = truths[-1], scene.friction
     exact = truth.maps["loaded_thickness"]
     noise = NOISE * np.random.default_rng(count - 1).normal(size=exact.shape)
@@ -190,6 +208,7 @@ def main() -> None:
     parser.add_argument("--element-size", type=float, default=0.125, metavar="MM")
     parser.add_argument("--truth", type=float, default=0.0833333, metavar="MM")
     parser.add_argument("--flat", action="store_true")
+    parser.add_argument("--columns", action="store_true")
     parser.add_argument("--loads", type=int, default=1, metavar="COUNT")
     parser.add_argument("--exact", action="store_true")
     parser.add_argument("--off", type=int, default=0, metavar="SEED")

@@ -61,7 +61,8 @@ def cleaned(result):
 def known(result, **changed):
     """What is known of the sample of an experiment."""
     of = result.scene
-    return replace(Sample(of.sample.thickness, of.compression, of.friction.plate), **changed)
+    sample = Sample(of.sample.thickness, of.compression, of.friction.plate, law=of.sample.material)
+    return replace(sample, **changed)
 
 
 def computed(result, sample=None, loaded=None, **options):
@@ -113,18 +114,29 @@ def test_stress_force_and_stiffness_of_soft_and_stiff_columns(columns, found):
         edge_check=False,
         input_errors=None,
     )
-    assert error(maps, truth) < 0.06
+    assert error(maps, truth) < 0.04
     assert error(still.maps, truth) > 0.3
-    assert maps.attrs["window_force_mN"] == pytest.approx(truth.attrs["window_force_mN"], rel=0.06)
+    assert maps.attrs["window_force_mN"] == pytest.approx(truth.attrs["window_force_mN"], rel=0.02)
     modulus = maps["sample_shear_modulus"].sel(y=slice(0.5, 2.5))
     soft, stiff = (float(modulus.sel(x=slice(*ends)).mean()) for ends in ((0.5, 1.1), (1.9, 2.5)))
     mu = columns.scene.sample.material.shear_modulus
-    assert soft == pytest.approx(mu, rel=0.1)
-    assert stiff / soft == pytest.approx(3.0, rel=0.15)
+    assert soft == pytest.approx(mu, rel=0.03)
+    assert stiff / soft == pytest.approx(3.0, rel=0.05)
     # where it passes the middle between the two
     row = modulus.mean("y").values
     edge = np.interp(np.sqrt(soft * stiff), row[3:-3], modulus["x"].values[3:-3])
     assert edge == pytest.approx(1.5, abs=0.15)
+
+
+def test_modulus_of_a_uniform_sample():
+    truth = run_experiment(scene())
+    maps = computed(truth).maps
+    modulus = maps["sample_shear_modulus"].sel(x=slice(0.5, 2.5), y=slice(0.5, 2.5))
+    mu = truth.scene.sample.material.shear_modulus
+    assert float(np.abs(modulus / mu - 1).max()) < 0.03
+    assert maps.attrs["window_force_mN"] == pytest.approx(
+        truth.maps.attrs["window_force_mN"], rel=0.02
+    )
 
 
 @pytest.mark.slow

@@ -56,7 +56,7 @@ _STILL = 0.01
 #: Slope of the logarithm over one thickness of the layer from which stiffness has an edge.
 _STEEP = 0.8
 #: A step must leave less than this share of what was left before it.
-_NO_GAIN = 0.98
+_NO_GAIN = 0.95
 #: Regularisation, in units that make both terms alike, from strong to weak.
 _ALPHAS = 10.0 ** np.arange(1.0, -7.1, -0.5)
 #: What is left may exceed the least that can be left by this factor where the noise is below that.
