@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import correlate1d, maximum_filter, median_filter
+from scipy.ndimage import maximum_filter, median_filter
 
 from optical_palpation.arguments import choice, explained, in_words, number, numbers
 from optical_palpation.errors import InputError
@@ -520,33 +520,19 @@ def _glare(band: NDArray[np.float32], lateral: tuple[float, float]) -> NDArray[n
     return np.maximum(maximum_filter(ratio, near) / SPECULAR, 1.0).astype(np.float64)
 
 
-def _parabolas(values: NDArray[np.float64], window: int, axis: int) -> NDArray[np.float64]:
-    """Parabolas through the values around each point along an axis: a Savitzky-Golay filter.
-
-    scipy.signal has one, but loading it takes as long as finding a small layer.
-    """
-    powers = np.vander(np.linspace(-1.0, 1.0, window), 3)
-    fit = powers @ np.linalg.pinv(powers)
-    half = window // 2
-    smooth = correlate1d(values, fit[half], axis)
-    first, last = np.moveaxis(values, axis, 0)[:window], np.moveaxis(values, axis, 0)[-window:]
-    ends = np.moveaxis(smooth, axis, 0)
-    ends[:half] = np.tensordot(fit[:half], first, 1)
-    ends[-half:] = np.tensordot(fit[-half:], last, 1)
-    return smooth
-
-
 def _outliers(
     depth: NDArray[np.float64], lateral: tuple[float, float], sigma: float
 ) -> NDArray[np.bool_]:
     """Hampel identifier in two dimensions: far from the median of the neighbourhood."""
+    from scipy.signal import savgol_filter  # slow to load, and not needed without volumes
+
     rest = depth.copy()
     size = [1, 1]
     for axis, (s, n) in enumerate(zip(lateral, depth.shape, strict=True)):
         window = 2 * int(np.ceil(2.0 * s)) + 1
         if n > window:
             size[axis] = window
-            rest -= _parabolas(rest, window, axis)  # slopes and bends are no outliers
+            rest -= savgol_filter(rest, window, 2, axis=axis)  # slopes and bends are no outliers
     off = np.abs(rest - median_filter(rest, size))
     scale = 1.4826 * median_filter(off, size)
     return off > HAMPEL * np.maximum(scale, sigma)
