@@ -1,5 +1,6 @@
 """Fixtures and settings common to all tests."""
 
+import os
 import re
 import signal
 from pathlib import Path
@@ -27,6 +28,12 @@ for _name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXFSZ"):
             _number,
             signal.default_int_handler if _number == signal.SIGINT else signal.SIG_DFL,
         )
+
+# Workers of a parallel run share the cores, and so do the commands that they start: threads beyond
+# these wait for each other, which takes twice the processor time.
+if _workers := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
+    _share = max(1, (os.cpu_count() or 1) // int(_workers))
+    os.environ.setdefault("NUMBA_NUM_THREADS", str(_share))
 
 #: Test files that need no solver of the layer but a small one: what to run after every change.
 QUICK = {

@@ -1,7 +1,9 @@
 """Work shared among threads: every row once, whatever their number, and failures reported."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import NamedTuple
 
 import numba as nb
@@ -116,3 +118,17 @@ def test_importing_launches_no_threads():
     program += "try: print(numba.threading_layer())\nexcept ValueError: print('none')"
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert said.stdout.strip() == "none", said
+
+
+@pytest.mark.skipif(nb.config.NUMBA_NUM_THREADS > 1, reason="these tests had threads")
+def test_all_of_this_on_two_threads():
+    """Each worker of a parallel run has its share of the cores, which may be one thread."""
+    stencil = Path(__file__).with_name("test_stencil.py")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--numprocesses=0"]
+    done = subprocess.run(
+        [*command, __file__, f"{stencil}::test_product_is_that_of_the_matrix"],
+        env=os.environ | {"NUMBA_NUM_THREADS": "2"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout
