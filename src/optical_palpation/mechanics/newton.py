@@ -66,6 +66,9 @@ _PRESSURE = 4.0
 #: Steps by the tangent of another state, and the share of the imbalance that each may leave.
 _CHORDS, _NEARER = 6, 0.5
 #: Iterations of the linear solver from which on an exact one is the quicker on a small grid, and
+#: Share of the contact forces out of balance below which Newton's method is near its end, and the
+#: iterations of the linear solver that a step may then take.
+_CLOSE, _TO_THE_END = 1e-2, 200
 #: how many systems in a row it then solves.
 _LONG, _ROW = 40, 3
 
@@ -265,10 +268,14 @@ def equilibrate(
     """
     least = DAMPING * _stiffness(problem)
 
+    # Near equilibrium a step or two remain: dear ones cost less than another way there.
+    to_the_end = replace(tolerances, krylov=max(tolerances.krylov, _TO_THE_END))
+
     def step(now: Balance, damping: float) -> Direction[Balance]:
+        wanted = to_the_end if now.force_error < _CLOSE else tolerances
         if isinstance(solver, Solvers):
-            return solver.step(problem, now, tolerances, damping)
-        return _newton_step(problem, now, solver, tolerances, damping)
+            return solver.step(problem, now, wanted, damping)
+        return _newton_step(problem, now, solver, wanted, damping)
 
     with threads_for(problem.grid.node_shape):
         first = None if near else friction_direction(state.slip)
