@@ -97,7 +97,7 @@ def test_predicted_memory_is_what_a_run_takes(solver, size):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="peak memory is read as Linux tells it")
-@pytest.mark.parametrize(("name", "size"), [("nodule", 0.11), ("soft_stiff_columns", 0.16)])
+@pytest.mark.parametrize(("name", "size"), [("nodule", 0.09), ("soft_stiff_columns", 0.125)])
 def test_predicted_memory_is_what_a_virtual_experiment_takes(name, size):
     elements, taken = measured(STACK, name, size)
     assert 0.9 < memory.predicted_stack_memory(elements) / taken < 1.4

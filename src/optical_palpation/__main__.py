@@ -11,11 +11,13 @@ _INTERRUPTED, _TERMINATED = 130, 143
 
 def main() -> None:
     """Run the command line and leave with its exit status."""
-    ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if ours:  # the parent may want Ctrl-C to be ignored
+    # The parent may want either to be ignored.
+    interrupted = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    terminated = signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    if interrupted:
         signal.signal(signal.SIGINT, _leave)
-    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, _terminate)
+    if terminated:
+        signal.signal(signal.SIGTERM, _leave)
     # Pictures are files: whatever draws on the screen here has no part in it.
     os.environ["MPLBACKEND"] = "agg"
 
@@ -24,8 +26,10 @@ def main() -> None:
     take_over_streams()
     from optical_palpation.cli import main as command
 
-    if ours:
+    if interrupted:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if terminated:
+        signal.signal(signal.SIGTERM, _terminate)
     command()
 
 
@@ -34,7 +38,7 @@ def _leave(number: int, frame: object) -> None:
     try:
         os.write(2, b"interrupted; no file is left half-written\n")
     finally:
-        os._exit(_INTERRUPTED)
+        os._exit(_INTERRUPTED if number == signal.SIGINT else _TERMINATED)
 
 
 def _terminate(number: int, frame: object) -> None:
