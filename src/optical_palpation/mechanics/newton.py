@@ -65,10 +65,10 @@ class LinearSolver(Protocol):
 _PRESSURE = 4.0
 #: Steps by the tangent of another state, and the share of the imbalance that each may leave.
 _CHORDS, _NEARER = 6, 0.5
-#: Iterations of the linear solver from which on an exact one is the quicker on a small grid, and
 #: Share of the contact forces out of balance below which Newton's method is near its end, and the
 #: iterations of the linear solver that a step may then take.
 _CLOSE, _TO_THE_END = 1e-2, 200
+#: Iterations of the linear solver from which on an exact one is the quicker on a small grid, and
 #: how many systems in a row it then solves.
 _LONG, _ROW = 40, 3
 
