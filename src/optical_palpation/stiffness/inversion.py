@@ -14,7 +14,6 @@ that of a coarse mesh, r that of the finest.
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -410,14 +409,19 @@ class _Search:
             alpha = self.smoothing
             step, _, matrix = solved(alpha)
         else:
-            least = solved(_ALPHAS[-1])[1]
-            target = max(1.0, _NEAR_LEAST * least)
-            # The weaker, the less is left: the first that is weak enough.
-            n = bisect_left(
-                _ALPHAS, True, hi=len(_ALPHAS) - 1, key=lambda a: solved(a)[1] <= target
-            )
-            alpha = _ALPHAS[n]
-            step, _, matrix = solved(alpha)
+            found = solved(_ALPHAS[-1])
+            target = max(1.0, _NEAR_LEAST * found[1])
+            # The weaker, the less is left: the first that is weak enough, by bisection.
+            low, high = 0, len(_ALPHAS) - 1
+            while low < high:
+                middle = (low + high) // 2
+                tried = solved(_ALPHAS[middle])
+                if tried[1] <= target:
+                    found, high = tried, middle
+                else:
+                    low = middle + 1
+            alpha = _ALPHAS[high]
+            step, _, matrix = found
         largest = np.full(len(row), _LARGEST)
         largest[order.of_relief] = _HIGHEST * self.thickness
         if order.travels:
