@@ -9,11 +9,11 @@ travel and thickness are known, the motion is not. Printed are the relative erro
 stress (root mean square, one thickness of the layer and more from its sides) by the algebraic
 method, on an imprint at rest and with the sample in the model; those of the force; how much of the
 map its 95 % band contains, with the errors of the inputs that are taken by default or, with
-``--exact``, with none; misfit and time. ``--flat``
-withholds the relief; ``--columns`` gives the true sample the mean stiffness of each column, as the
-model has it; with ``--loads`` the stress comes from that many loads up to the full one, and
-of a relief that is withheld it is then found. With ``--off`` the frictions, the travel, the
-thicknesses and the modulus that are stated are off at random, by the errors that the bands are for.
+``--exact``, with none; misfit and time. ``--flat`` withholds the relief; ``--columns`` gives the
+true sample the mean stiffness of each column, as the model has it; with ``--loads`` the stress
+comes from that many loads up to the full one, and of a relief that is withheld it is then found.
+With ``--off`` the frictions, the travel, the thicknesses and the modulus that are stated are off at
+random, by the errors that the bands are for.
 """
 
 import argparse
