@@ -154,6 +154,47 @@ def test_interrupted_while_it_starts(here, seconds, number):
     assert left == ({"map.npy", "o.nc"} if begun.returncode == 0 else {"map.npy"})
 
 
+# What runs as the command, and gets the signal where an exception would be lost or changed.
+_LOSES = {
+    "a module that is being imported": "import module",
+    "a callback from C": (
+        "import ctypes\nctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(number))()"
+    ),
+}
+
+
+@pytest.mark.parametrize("place", _LOSES)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_is_not_lost_in(here, number, place):
+    Path("module.py").write_text(
+        "import signal\nfrom __main__ import number\n"
+        "try:\n    signal.raise_signal(number)\n"
+        "except BaseException:\n    raise ImportError('initialization failed')\n"
+    )
+    script = f"""
+import signal, sys, time
+import optical_palpation.cli
+from optical_palpation.__main__ import main
+
+number = {int(number)}
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+def command():
+    try:
+        exec({_LOSES[place]!r}, globals())
+        print("went on", flush=True)
+        time.sleep(10)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+optical_palpation.cli.main = command
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130 if number == signal.SIGINT else 143, "")
+    assert done.stdout == "went on\n"
+
+
 def wait_until_it_runs(begun):
     """Wait until Python has taken care of the signals: they are caught, as the kernel tells."""
     status = Path(f"/proc/{begun.pid}/status")

@@ -5,8 +5,13 @@ Imports nothing but the standard library until signals and streams are taken car
 
 import os
 import signal
+import sys
+from threading import Timer
+from types import FrameType
 
 _INTERRUPTED, _TERMINATED = 130, 143
+_AGAIN = 0.02
+"""Seconds until a signal is looked at again."""
 
 
 def main() -> None:
@@ -27,23 +32,47 @@ def main() -> None:
     from optical_palpation.cli import main as command
 
     if interrupted:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, _end)
     if terminated:
-        signal.signal(signal.SIGTERM, _terminate)
+        signal.signal(signal.SIGTERM, _end)
+    sys.unraisablehook = _unraisable
     command()
 
 
 def _leave(number: int, frame: object) -> None:
-    """End at once: nothing has been begun, and an exception in an import may be lost."""
+    """End at once, as long as nothing has been begun."""
     try:
         os.write(2, b"interrupted; no file is left half-written\n")
     finally:
         os._exit(_INTERRUPTED if number == signal.SIGINT else _TERMINATED)
 
 
-def _terminate(number: int, frame: object) -> None:
-    """End as after Ctrl-C, so that nothing half-written is left."""
+def _end(number: int, frame: FrameType | None) -> None:
+    """End by an exception, so that nothing half-written is left."""
+    # An extension that is being imported may lose the exception, or make an ImportError of it.
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return _send_again(number)
+        frame = frame.f_back
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
     raise SystemExit(_TERMINATED)
+
+
+def _unraisable(lost: "sys.UnraisableHookArgs") -> None:
+    """Keep a signal whose exception came where none can be raised, as in a callback from C."""
+    if lost.exc_type is KeyboardInterrupt:
+        _send_again(signal.SIGINT)
+    elif lost.exc_type is SystemExit:
+        _send_again(signal.SIGTERM)
+    else:
+        sys.__unraisablehook__(lost)
+
+
+def _send_again(number: int) -> None:
+    timer = Timer(_AGAIN, os.kill, (os.getpid(), number))
+    timer.daemon = True
+    timer.start()
 
 
 if __name__ == "__main__":
