@@ -116,6 +116,15 @@ def test_netcdf_round_trip(tmp_path):
     xr.testing.assert_identical(read_result(tmp_path / "again.nc").maps, back.maps)
 
 
+def test_netcdf_is_written_beside_a_client_of_dask(tmp_path):
+    from distributed import Client
+
+    with Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None):
+        write_result(example(), tmp_path / "out.nc")
+    written = read_result(tmp_path / "out.nc").maps["axial_stress"]
+    np.testing.assert_array_equal(written, example().maps["axial_stress"])
+
+
 def test_netcdf_describes_itself(tmp_path):
     write_result(example(), tmp_path / "out.nc")
     with h5py.File(tmp_path / "out.nc") as file:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from typing import Any
 
 from optical_palpation.errors import OutputError
 
@@ -45,7 +47,8 @@ def check_target(path: str | os.PathLike[str]) -> None:
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path beside the target, which replaces the target if all goes well.
 
-    Write HDF5 to it by way of memory: the HDF5 library can crash on a disk that fills up under it.
+    Write HDF5 to it by way of memory (:func:`netcdf`): the HDF5 library can crash on a disk that
+    fills up under it.
 
     Raises
     ------
@@ -66,6 +69,26 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def netcdf(data: Any, **options: Any) -> bytes:
+    """Return xarray's data as the content of a NetCDF file.
+
+    Parameters
+    ----------
+    data
+        Dataset or DataTree.
+    options
+        Of its ``to_netcdf``.
+    """
+    local: Any = nullcontext()
+    if "distributed" in sys.modules:
+        import dask
+
+        # Beside a client xarray locks by way of the scheduler, which knows no buffer in memory.
+        local = dask.config.set(scheduler="threads")
+    with local:
+        return bytes(data.to_netcdf(engine="h5netcdf", **options))
 
 
 def is_left_over_of(name: str, target: str) -> bool:

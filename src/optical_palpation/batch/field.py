@@ -26,7 +26,7 @@ from optical_palpation.errors import (
     OpticalPalpationError,
     OutputError,
 )
-from optical_palpation.files import replacing
+from optical_palpation.files import netcdf, replacing
 from optical_palpation.palpation.memory import predicted_memory
 from optical_palpation.palpation.result import Status, StressResult
 from optical_palpation.palpation.submodel import (
@@ -271,7 +271,7 @@ def _laid_out(
     if not job.thickness.is_file():
         maps = xr.Dataset({"loaded": inputs.loaded, "initial": inputs.initial})
         with replacing(job.thickness) as temporary:
-            temporary.write_bytes(maps.to_netcdf(engine="h5netcdf"))
+            temporary.write_bytes(netcdf(maps))
     return job
 
 

@@ -17,7 +17,7 @@ from optical_palpation.errors import InputError, OutputError
 from optical_palpation.experiment.scene import read_scene
 from optical_palpation.experiment.virtual import run_experiment
 from optical_palpation.experiment.volumes import experiment_volumes, write_volume
-from optical_palpation.files import replacing
+from optical_palpation.files import netcdf, replacing
 from optical_palpation.material import MooneyRivlin
 
 #: What each sample is, in a sentence.
@@ -223,6 +223,6 @@ def _write_truth(truth: xr.Dataset, path: Path) -> None:
         | ({"dtype": np.float32} if variable.dtype.kind == "f" else {})
         for name, variable in truth.data_vars.items()
     }
-    content = truth.to_netcdf(engine="h5netcdf", encoding=single)
+    content = netcdf(truth, encoding=single)
     with replacing(path) as temporary:
-        temporary.write_bytes(bytes(content))
+        temporary.write_bytes(content)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from optical_palpation.errors import ConvergenceError, InputError
-from optical_palpation.files import replacing
+from optical_palpation.files import netcdf, replacing
 from optical_palpation.material import Law
 from optical_palpation.mechanics.cascade import LoadNotReached, make_solver, solve
 from optical_palpation.mechanics.contact import remember_slip
@@ -245,7 +245,7 @@ def write_calibration(calibration: xr.DataArray, path: str | Path) -> None:
         "software": "optical-palpation",
         "software_version": software_version(),
     }
-    content = dataset.to_netcdf(engine="h5netcdf")
+    content = netcdf(dataset)
     with replacing(path) as temporary:
         temporary.write_bytes(content)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from optical_palpation.files import netcdf
 from optical_palpation.present.figure import draw_map, figure_file, letter
 from optical_palpation.present.output import atomic
 from optical_palpation.present.terms import DIFFERENCE, Term, common_limits, percent, term
@@ -28,7 +29,7 @@ def write_comparison(comparison: xr.Dataset, path: str | Path) -> None:
         about | {"software_version": version("optical-palpation")} | comparison.attrs
     )
     compressed = {name: {"zlib": True} for name, v in dataset.data_vars.items() if v.ndim > 2}
-    content = dataset.to_netcdf(engine="h5netcdf", encoding=compressed)
+    content = netcdf(dataset, encoding=compressed)
     with atomic(path, "result") as temporary:
         temporary.write_bytes(content)
 

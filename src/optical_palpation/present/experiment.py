@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from optical_palpation.experiment.virtual import ExperimentResult
+from optical_palpation.files import netcdf
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.figure import draw_map, figure_file, letter
 from optical_palpation.present.netcdf import _NODE_AXES, _compression, _described
@@ -43,7 +44,7 @@ def write_experiment(result: ExperimentResult, path: str | Path) -> None:
         body = _described(body)
         groups[name] = body.rename({a: b for a, b in _NODE_AXES.items() if a in body.dims})
         encoding[name] = _compression(body, dtype=np.float32)
-    content = xr.DataTree.from_dict(groups).to_netcdf(engine="h5netcdf", encoding=encoding)
+    content = netcdf(xr.DataTree.from_dict(groups), encoding=encoding)
     with atomic(path, "result") as temporary:
         temporary.write_bytes(content)
 

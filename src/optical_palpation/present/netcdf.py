@@ -10,6 +10,7 @@ import xarray as xr
 
 from optical_palpation.arguments import explained, file_path
 from optical_palpation.errors import InputError
+from optical_palpation.files import netcdf
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic, provenance
 from optical_palpation.present.state import GROUPS, read_state, state_groups
@@ -85,7 +86,7 @@ def write_result(result: StressResult, path: str | Path) -> None:
     for name, group in state_groups(result).items():
         groups[f"/{name}"], encoding[f"/{name}"] = group, _compression(group)
     # By way of memory, because the HDF5 library can crash on a disk that fills up under it.
-    content = xr.DataTree.from_dict(groups).to_netcdf(engine="h5netcdf", encoding=encoding)
+    content = netcdf(xr.DataTree.from_dict(groups), encoding=encoding)
     with atomic(path, "result") as temporary:
         temporary.write_bytes(content)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import xarray as xr
 
+from optical_palpation.files import netcdf
 from optical_palpation.present.output import atomic
 from optical_palpation.present.summary import INPUTS
 from optical_palpation.present.terms import plain, rounded
@@ -38,7 +39,7 @@ def write_uncertainty(uncertainty: xr.Dataset, path: str | Path) -> None:
         **uncertainty.attrs,
     }
     compressed = {name: {"zlib": True} for name, v in dataset.data_vars.items() if v.ndim > 1}
-    content = dataset.to_netcdf(engine="h5netcdf", encoding=compressed)
+    content = netcdf(dataset, encoding=compressed)
     with atomic(path, "result") as temporary:
         temporary.write_bytes(content)
 

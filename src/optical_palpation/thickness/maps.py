@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.arguments import explained, file_path
 from optical_palpation.errors import InputError
-from optical_palpation.files import readable_name, replacing
+from optical_palpation.files import netcdf, readable_name, replacing
 from optical_palpation.runtime import software_version
 from optical_palpation.thickness.frames import (
     check_kind,
@@ -289,7 +289,7 @@ def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.Pat
         "axis_order": "(y, x)",
     }
     encoding = {name: {"zlib": True} for name in dataset.data_vars}
-    content = dataset.to_netcdf(engine="h5netcdf", encoding=encoding)
+    content = netcdf(dataset, encoding=encoding)
     with replacing(path) as temporary:
         temporary.write_bytes(content)
 
