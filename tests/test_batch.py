@@ -17,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import optical_palpation as op
+from optical_palpation.analysis import Noise
 from optical_palpation.batch import Batch, BatchResult, read_batch, run_batch, sweeping, worker_map
 from optical_palpation.batch.cluster import About, threads_of
 from optical_palpation.batch.dispatch import LOSSES, Dispatcher, Outcome
@@ -339,7 +340,7 @@ def command(*arguments):
 
 
 @pytest.mark.slow
-def test_sweep_and_calibration_on_a_scheduler_are_those_of_one_process(tmp_path):
+def test_all_that_takes_a_scheduler_gives_what_one_process_gives(tmp_path):
     make_scans(tmp_path, 1)
     study = op.Study.read(tmp_path / "study.toml")
     values = {"friction.window": [0.1, 0.2], "material.c10": (2.0, 2.23)}
@@ -361,10 +362,28 @@ def test_sweep_and_calibration_on_a_scheduler_are_those_of_one_process(tmp_path)
             op.sweep(study, values, scheduler=file)
         with worker_map(scheduler=file) as each:
             curves = calibration_curves([0.1, 0.3], each=each, on_curve=told.append, **slab)
+            errors = errors_of(study, each=each)
+    xr.testing.assert_identical(errors, errors_of(study))
     xr.testing.assert_identical(found, op.sweep(study, values))
     assert told[0].stage.startswith("0 of 4")
     assert told[-1] == 0.3
     xr.testing.assert_identical(curves, calibration_curves([0.1, 0.3], **slab))
+
+
+def errors_of(study, **how):
+    """Errors of the stress of a study by noise of its map, and by friction."""
+    measured = study.thickness()
+    return op.stress_uncertainty(
+        measured["loaded_thickness"],
+        measured["initial_thickness"],
+        op.MooneyRivlin(2.23, 0.703),
+        window_friction=0.15,
+        sample_friction=0.05,
+        element_size=0.25,
+        thickness_noise=Noise(0.001, probes=1),
+        nominal=study.run(),
+        **how,
+    )
 
 
 def test_points_of_a_sweep_that_fail_on_workers(tmp_path, monkeypatch):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import xarray as xr
@@ -38,6 +38,7 @@ def stress_uncertainty(
     thickness_noise: Noise | None = None,
     nominal: StressResult | None = None,
     progress: Callable[[Progress], None] | None = None,
+    each: Callable[..., Iterable[Any]] | None = None,
     **options: Any,
 ) -> xr.Dataset:
     """Propagate errors of the inputs to the computational stress and the total force.
@@ -63,6 +64,9 @@ def stress_uncertainty(
         Solution for the inputs as they are, if there is one already.
     progress
         As for ``computational_stress``; the stage also counts the solves.
+    each
+        Computes what the noise costs side by side: the function that
+        :func:`~optical_palpation.batch.worker_map` gives. By default one solve follows another.
     options
         Further arguments of ``computational_stress``.
 
@@ -107,14 +111,9 @@ def stress_uncertainty(
     solves = sum(2 * e.probes for e in errors.values() if isinstance(e, Noise))
     solves += nominal is None
     count = 0
+    alone = _Solve(loaded, initial_thickness, material, options)
 
-    def solve(
-        window_friction: Hold,
-        sample_friction: Hold,
-        modulus: float,
-        thickness: xr.DataArray,
-        thickness_noise: xr.DataArray,
-    ) -> StressResult:
+    def solve(**inputs: Any) -> StressResult:
         nonlocal count
         count += 1
         stage = f"solve {count} of {solves}"
@@ -123,27 +122,65 @@ def stress_uncertainty(
             if progress:
                 progress(replace(now, stage=f"{stage}: {now.stage}"))
 
-        # Sums of maps lose what the map says of itself, such as the extent of the layer.
-        here = (thickness + thickness_noise).assign_attrs(loaded.attrs)
-        return computational_stress(
-            here,
-            initial_thickness,
-            material.scaled(modulus),
-            window_friction=window_friction,
-            sample_friction=sample_friction,
-            edge_check=nominal is None and count == 1,
-            input_errors=InputErrors() if nominal is None and count == 1 else None,
-            progress=report,
-            **options,
-        )
+        first = nominal is None and count == 1
+        return alone(**inputs, estimates=first, progress=report)
 
+    def side_by_side(function: Callable[..., Any], changes: Iterable[Any]) -> Iterator[Any]:
+        nonlocal count
+        assert each is not None
+        for found in each(function, changes):
+            count += 1
+            if progress:
+                progress(Progress(f"{count} of {solves} solves", count / solves, None))
+            yield found
+
+    how: dict[str, Any] = {"solve": solve}
+    if each is not None:
+        how = {"solve": alone, "each": side_by_side}
     here = solve(**values) if nominal is None else nominal
     known = here.sensitivities
     if known is None or known.attrs["failure"]:
-        return propagate_uncertainty(solve, values, errors, nominal=here)
+        solves += 2 * sum(not isinstance(error, Noise) for error in errors.values())
+        return propagate_uncertainty(values=values, errors=errors, nominal=here, **how)
     common = {name: e for name, e in errors.items() if not isinstance(e, Noise)}
     noise = {name: e for name, e in errors.items() if isinstance(e, Noise)}
     parts = [linear_uncertainty(here, common)] if common else []
     if noise:
-        parts.append(propagate_uncertainty(solve, values, noise, nominal=here))
+        parts.append(propagate_uncertainty(values=values, errors=noise, nominal=here, **how))
     return combined_uncertainty(parts)
+
+
+@dataclass(frozen=True)
+class _Solve:
+    """The stress for inputs that are given; it can be pickled."""
+
+    loaded: xr.DataArray
+    initial_thickness: float | xr.DataArray
+    material: Law
+    options: Mapping[str, Any]
+
+    def __call__(
+        self,
+        window_friction: Hold,
+        sample_friction: Hold,
+        modulus: float,
+        thickness: xr.DataArray,
+        thickness_noise: xr.DataArray,
+        *,
+        estimates: bool = False,
+        progress: Callable[[Progress], None] | None = None,
+    ) -> StressResult:
+        # Sums of maps lose what the map says of itself, such as the extent of the layer.
+        here = (thickness + thickness_noise).assign_attrs(self.loaded.attrs)
+        return computational_stress(
+            here,
+            self.initial_thickness,
+            self.material.scaled(modulus),
+            window_friction=window_friction,
+            sample_friction=sample_friction,
+            mesh_check=estimates,
+            edge_check=estimates,
+            input_errors=InputErrors() if estimates else None,
+            progress=progress,
+            **self.options,
+        )

@@ -282,8 +282,8 @@ def region_statistics(
         that has a value, ``difference`` (mean less that of the background), and ``contrast``, its
         size over the background's noise, the standard deviation about a plane. Where the maps hold
         ``<variable>_error`` (of both moduli ``sample_modulus_error``), ``mean_error``, the mean of
-        that error, and ``force_error`` (mN), its sum: those of an error which is the same all over
-        the region, and upper bounds of any other. They are NaN where no pixel has an error. The
+        that error, and ``force_error`` (mN), its sum: those of an error common to the whole
+        region, and upper bounds of any other. They are NaN where no pixel has an error. The
         attributes hold the mean and noise of the background.
 
     Raises

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -60,6 +61,7 @@ def propagate_uncertainty(
     *,
     nominal: StressResult | None = None,
     bounds: Mapping[str, tuple[float, float]] = BOUNDS,
+    each: Callable[..., Iterable[Any]] = map,
 ) -> xr.Dataset:
     """Propagate errors of the inputs to the axial stress and the total force.
 
@@ -85,6 +87,10 @@ def propagate_uncertainty(
         Solution at `values`, if there is one already.
     bounds
         Lowest and highest admissible values; a difference is one-sided where it would leave them.
+    each
+        Applies a function to each changed input and gives the results in order, as ``map`` does:
+        that of :func:`~optical_palpation.batch.worker_map` solves side by side, if `solve` can be
+        pickled.
 
     Returns
     -------
@@ -115,34 +121,32 @@ def propagate_uncertainty(
         elif not number(error, f"error of {name}", "a number above 0") > 0.0:
             raise InputError(f"error of {name} = {error}: must be positive")
 
-    def evaluate(name: str, value: Any) -> tuple[xr.DataArray, float]:
-        return _stress_and_force(solve(**{**values, name: value}))
-
     stress, force = _stress_and_force(solve(**values) if nominal is None else nominal)
+    pairs = {
+        name: _pairs(values[name], error, *bounds.get(name, (-np.inf, np.inf)))
+        for name, error in errors.items()
+    }
+    for name, found in pairs.items():
+        if any(width == 0.0 for *_, width in found):
+            lowest, highest = bounds.get(name, (-np.inf, np.inf))
+            raise InputError(f"{name}: its bounds {lowest:g} to {highest:g} leave no room")
+    changes = [
+        (name, value) for name, found in pairs.items() for pair in found for value in pair[:2]
+    ]
+    solved = iter(each(partial(_solved, solve, values), changes))
     maps: list[xr.DataArray] = []
     forces: list[float] = []
     bends: list[float] = []
     for name, error in errors.items():
-        value, (lowest, highest) = values[name], bounds.get(name, (-np.inf, np.inf))
-        noise = isinstance(error, Noise)
-        steps = _fields(value, error) if isinstance(error, Noise) else [error]
         variance, force_variance, bend = xr.zeros_like(stress), 0.0, 0.0
-        for step in steps:
-            up, down = (
-                (value + step, value - step)
-                if noise
-                else (_clip(value + step, lowest, highest), _clip(value - step, lowest, highest))
-            )
-            (high, force_high), (low, force_low) = evaluate(name, up), evaluate(name, down)
-            # The share of the full width 2 step that the bounds have left.
-            width = 1.0 if noise else float(np.max(np.abs(up - down))) / (2.0 * float(step))
-            if width == 0.0:
-                raise InputError(f"{name}: its bounds {lowest:g} to {highest:g} leave no room")
-            variance = variance + ((high - low) / (2.0 * width)) ** 2 / len(steps)
+        count = len(pairs[name])
+        for *_, width in pairs[name]:
+            (high, force_high), (low, force_low) = next(solved), next(solved)
+            variance = variance + ((high - low) / (2.0 * width)) ** 2 / count
             change = (force_high - force_low) / (2.0 * width)
-            force_variance += change**2 / len(steps)
+            force_variance += change**2 / count
             if width > 1.0 - 1e-9 and change != 0.0:
-                bend += abs((force_high - 2.0 * force + force_low) / (2.0 * change)) / len(steps)
+                bend += abs((force_high - 2.0 * force + force_low) / (2.0 * change)) / count
         if isinstance(error, Noise) and error.smoothing > 0.0:
             variance = _smooth(variance, error.smoothing)
         maps.append(variance**0.5)
@@ -221,6 +225,24 @@ def combined_uncertainty(parts: Sequence[xr.Dataset]) -> xr.Dataset:
     error = float(np.linalg.norm(together["force_contribution"]))
     together.attrs = {"force_mN": parts[0].attrs["force_mN"], "force_error_mN": error}
     return together
+
+
+def _pairs(
+    value: Any, error: float | Noise, lowest: float, highest: float
+) -> list[tuple[Any, Any, float]]:
+    """Values on both sides of one, and the fraction of the full width that its bounds leave."""
+    if isinstance(error, Noise):
+        return [(value + field, value - field, 1.0) for field in _fields(value, error)]
+    up, down = (_clip(value + step, lowest, highest) for step in (error, -error))
+    return [(up, down, float(np.max(np.abs(up - down))) / (2.0 * float(error)))]
+
+
+def _solved(
+    solve: Callable[..., StressResult], values: Mapping[str, Any], change: tuple[str, Any]
+) -> tuple[xr.DataArray, float]:
+    """Stress and force with one of the values changed."""
+    name, value = change
+    return _stress_and_force(solve(**{**values, name: value}))
 
 
 def _stress_and_force(result: StressResult) -> tuple[xr.DataArray, float]:

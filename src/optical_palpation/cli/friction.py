@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,7 +17,7 @@ from optical_palpation.cli.law import (
     LAW_HELP,
     LawChoice,
 )
-from optical_palpation.cli.options import Quiet, Threads, print_files
+from optical_palpation.cli.options import Quiet, Threads, each_on, print_files
 
 _LAYER, _VOLUMES, _OUTPUT = "Layer and calibration", "Volumes", "Output"
 
@@ -203,7 +201,11 @@ def friction(
     output: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Also write the estimate (.json).", rich_help_panel=_OUTPUT
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Also write the estimate (.json).",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     plot: Annotated[
@@ -246,8 +248,7 @@ def friction(
     displacement against depth. Calibration curves for the same layer tell the coefficient.
     """
     files = measurement or []
-    if workers is not None and scheduler is not None:
-        raise typer.BadParameter("--workers are for this machine, --scheduler has its own")
+    each = each_on(workers, scheduler) or map
     if len(files) > 2:
         raise typer.BadParameter("give one profile, or two volumes (before and after)")
     outputs = {"record": output, "picture": plot, "calibration": save_calibration}
@@ -328,7 +329,7 @@ def friction(
                 print(f"calibration: {text}, {passed:.0f} s", file=sys.stderr, flush=True)
 
         say(f"{len(values)} curves; the first run compiles for up to a minute")
-        with limited_threads(threads), _each(workers, scheduler) as each:
+        with limited_threads(threads):
             curves = library.calibration_curves(
                 values,
                 layer_size=layer_size,
@@ -380,12 +381,3 @@ def _describe(estimate: FrictionEstimate, curves: xr.DataArray) -> str:
             "coefficient is a bound (--coefficients widens the range)"
         )
     return "\n".join(lines)
-
-
-def _each(workers: int | None, scheduler: str | None) -> AbstractContextManager[Callable[..., Any]]:
-    """Give what computes the curves: one after another here, or side by side on workers."""
-    if workers is None and scheduler is None:
-        return nullcontext(map)
-    from optical_palpation.batch import worker_map
-
-    return worker_map(workers=workers, scheduler=scheduler)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -49,7 +49,9 @@ LayerExtent = Annotated[
 Untrusted = Annotated[
     bool, typer.Option("--untrusted", help="Read HDF5 files in a separate process first.")
 ]
-Output = Annotated[Path, typer.Option(metavar="FILE", help="Result, NetCDF (.nc).")]
+Output = Annotated[
+    Path, typer.Option("--output", "-o", metavar="FILE", help="Result, NetCDF (.nc).")
+]
 Plot = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Also draw a picture (.png, .pdf).")
 ]
@@ -72,7 +74,7 @@ Threads = Annotated[
         metavar="NUMBER", help="Number of threads; all available cores by default.", min=1
     ),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
 #: Options that take one number or several.
@@ -178,6 +180,25 @@ def mark_filled(result: StressResult, cleaned: xr.Dataset) -> None:
     here = {axis: result.maps[axis] for axis in "yx"}
     result.maps["filled"] = cleaned["filled"].reindex(here, method="nearest")
     result.maps.attrs |= cleaned.attrs
+
+
+def each_on(workers: int | None, scheduler: str | None) -> Callable[..., Iterator[Any]] | None:
+    """Give a ``map`` whose calls run side by side on workers, None where there are none.
+
+    The workers start with the first call and end with it.
+    """
+    if workers is not None and scheduler is not None:
+        raise typer.BadParameter("--workers are for this machine, --scheduler has its own")
+    if workers is None and scheduler is None:
+        return None
+
+    def each(function: Callable[[Any], Any], values: Iterable[Any]) -> Iterator[Any]:
+        from optical_palpation.batch import worker_map
+
+        with worker_map(workers=workers, scheduler=scheduler) as apply:
+            yield from apply(function, values)
+
+    return each
 
 
 def write_outputs(result: StressResult, wanted: Mapping[str, Path], quiet: bool) -> None:

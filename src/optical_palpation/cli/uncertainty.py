@@ -7,7 +7,13 @@ from typing import Annotated
 
 import typer
 
-from optical_palpation.cli.options import Quiet, Threads, print_files
+from optical_palpation.cli.options import (
+    Quiet,
+    Scheduler,
+    Threads,
+    each_on,
+    print_files,
+)
 from optical_palpation.cli.progress import ProgressDisplay
 from optical_palpation.errors import InputError
 
@@ -63,6 +69,8 @@ def uncertainty(
     output: Annotated[
         Path | None,
         typer.Option(
+            "--output",
+            "-o",
             metavar="FILE",
             help="Error maps (.nc); uncertainty.nc in the study's result folder.",
             show_default=False,
@@ -76,13 +84,23 @@ def uncertainty(
             show_default=False,
         ),
     ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="NUMBER",
+            help="Solve for the noise side by side, on so many workers of this machine (extra "
+            "batch).",
+            min=1,
+        ),
+    ] = None,
+    scheduler: Scheduler = None,
     threads: Threads = None,
     quiet: Quiet = False,
 ) -> None:
     """Propagate errors of friction, material and thickness to the stress of a study.
 
-    Runs the study first where it is not complete. Noise costs two solves for each probe; all else
-    follows from the sensitivities of the stress.
+    Runs the study first where it is not complete. Noise costs two solves for each probe, side by
+    side with --workers or --scheduler; all else follows from the sensitivities of the stress.
     """
     import xarray as xr
 
@@ -93,6 +111,7 @@ def uncertainty(
     from optical_palpation.present.uncertainty_file import uncertainty_in_words, write_uncertainty
     from optical_palpation.study.compute import solver_settings
 
+    each = each_on(workers, scheduler)
     if not any((window_friction, sample_friction, modulus, thickness, thickness_noise)):
         raise typer.BadParameter("all errors are zero: give at least one")
     asked = study.read_study(file)
@@ -126,6 +145,7 @@ def uncertainty(
             thickness_noise=noise,
             nominal=nominal,
             progress=progress,
+            each=each,
             **settings,
         )
     output = output or done.folder / "uncertainty.nc"

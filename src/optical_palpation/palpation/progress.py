@@ -10,11 +10,14 @@ from optical_palpation.mechanics.problem import LayerProblem
 
 @dataclass(frozen=True)
 class Progress:
-    """What a running computation reports: the stage, the load reached and the work done."""
+    """What a running computation reports: the stage, the load reached and the work done.
+
+    ``newton`` counts iterations; where it is None, ``load`` is the share of the stage that is done.
+    """
 
     stage: str
     load: float
-    newton: int
+    newton: int | None
     message: str = ""
 
 
