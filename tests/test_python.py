@@ -14,18 +14,12 @@ import xarray as xr
 import optical_palpation as op
 from optical_palpation.errors import ConvergenceError, InputError, OutputError
 from optical_palpation.mechanics.newton import balance
-from optical_palpation.study import python
+from optical_palpation.study import python, read_study
+from optical_palpation.study.script import reproducing_lines
 
 matplotlib.use("Agg")
 X, Y = np.linspace(0, 2, 33), np.linspace(0, 1.5, 25)
 GRID = {"element_size": 0.25, "threads": 1}
-NO_ERRORS = {
-    "window_friction": 0.0,
-    "sample_friction": 0.0,
-    "modulus": 0.0,
-    "thickness": 0.0,
-    "initial_thickness": 0.0,
-}
 
 
 def loaded(units="mm"):
@@ -182,7 +176,7 @@ def test_what_stands_in_for_something_replaces_it(tmp_path):
 
 
 def test_a_study_chooses_its_mesh_by_the_accuracy(tmp_path):
-    chosen = study(grid={"accuracy": 0.1, "threads": 1}, errors=NO_ERRORS)
+    chosen = study(grid={"accuracy": 0.1, "threads": 1}, errors={"estimates": False})
     result = chosen.run()
     attrs = result.maps.attrs
     assert attrs["force_mesh_error_mN"] < 0.1 * attrs["sample_force_mN"]
@@ -190,6 +184,22 @@ def test_a_study_chooses_its_mesh_by_the_accuracy(tmp_path):
     np.testing.assert_array_equal(again.maps["axial_stress"], result.maps["axial_stress"])
     saved = chosen.save(tmp_path / "study.toml")
     assert saved.parameters["grid"]["accuracy"] == 0.1
+
+
+def test_a_study_without_estimates_has_the_same_stress(result, tmp_path, monkeypatch):
+    estimates = {"axial_stress_error", "edge_influence"}
+    assert estimates <= set(result.maps)
+    alone = study(errors={"estimates": False})
+    bare = alone.run()
+    np.testing.assert_array_equal(bare.maps["axial_stress"], result.maps["axial_stress"])
+    assert not estimates & set(bare.maps)
+    saved = alone.save(tmp_path / "study.toml")
+    assert saved.parameters["errors"]["estimates"] is False
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(reproducing_lines(read_study("study.toml")), names)
+    np.testing.assert_array_equal(names["result"].maps["axial_stress"], bare.maps["axial_stress"])
+    assert not estimates & set(names["result"].maps)
 
 
 @pytest.mark.parametrize(

@@ -339,6 +339,7 @@ def test_the_record_has_no_errors_of_inputs_that_are_not_used(given):
     assert parameters(given())["errors"]["compression"] == 0.05
     alone = given(sample="")
     assert set(parameters(alone)["errors"]) == {
+        "estimates",
         "window_friction",
         "sample_friction",
         "modulus",
@@ -356,6 +357,16 @@ def test_the_stress_depends_on_the_errors_of_the_inputs(given):
     lines = reproducing_lines(study)
     assert "errors = palpation.InputErrors(sample_thickness=0.01)" in lines
     assert "input_errors=errors" in lines
+
+
+def test_without_estimates_the_errors_of_the_inputs_do_not_matter(given):
+    bare, other = (
+        given("[sample]", f"[errors]\nestimates = false\nmodulus = {error}\n[sample]")
+        for error in (0.01, 0.02)
+    )
+    assert stress_stage(bare).facts == stress_stage(other).facts != stress_stage(given()).facts
+    assert parameters(bare)["errors"] == {"estimates": False}
+    assert "input_errors=None" in reproducing_lines(bare)
 
 
 def test_check_takes_what_can_be_used(given):

@@ -210,9 +210,12 @@ def stress(
             show_default=False,
         ),
     ] = None,
-    input_errors: Annotated[
+    estimates: Annotated[
         bool,
-        typer.Option(help="Error bands from those of the inputs; at 50 um, two thirds more time."),
+        typer.Option(
+            help="Estimate the errors by inputs, mesh and sides of the layer. Without, the stress "
+            "takes a third to two thirds of the time."
+        ),
     ] = True,
     variable: Variable = None,
     initial_variable: InitialVariable = None,
@@ -330,7 +333,7 @@ def stress(
     present.check_outputs(wanted, inputs)
 
     wanted_errors = _input_errors(input_error or [], sample_thickness is not None)
-    errors = wanted_errors if input_errors else None
+    errors = wanted_errors if estimates else None
     material = make_law(
         law.value, bulk_to_shear, c10=c10, c01=c01, c20=c20, c30=c30, mu=mu, alpha=alpha
     )
@@ -409,6 +412,8 @@ def stress(
                 imprint_smoothing=imprint_smoothing,
                 slip_length=slip_length,
                 threads=threads,
+                mesh_check=estimates,
+                edge_check=estimates,
                 input_errors=errors,
                 progress=progress,
             )

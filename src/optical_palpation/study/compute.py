@@ -11,7 +11,7 @@ from typing import Any
 
 import xarray as xr
 
-from optical_palpation.palpation import InputErrors, algebraic_result, computational_stress
+from optical_palpation.palpation import algebraic_result, computational_stress
 from optical_palpation.palpation.plausibility import check_stress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.stiffness import sample_stress
@@ -123,7 +123,7 @@ def stress_of(
     thickness: xr.Dataset,
     progress: Callable[[Any], None] | None = None,
     *,
-    estimates: bool = True,
+    estimates: bool | None = None,
 ) -> StressResult:
     """Tactile stress by the computational method, with the sample in the model if it is given.
 
@@ -137,7 +137,8 @@ def stress_of(
         As for :func:`~optical_palpation.palpation.computational_stress`.
     estimates
         Whether to estimate the errors by the mesh, the sides and the inputs, which takes longer
-        than the stress of a small grid itself. With a sample they are always estimated.
+        than the stress of a small grid itself; by default as the study says. With the sample in
+        the model those by noise and mesh are always estimated.
 
     Raises
     ------
@@ -145,6 +146,9 @@ def stress_of(
         As that function or :func:`~optical_palpation.stiffness.sample_stress` does.
     """
     loaded = thickness["loaded_thickness"]
+    if estimates is None:
+        estimates = study.errors.estimates
+    input_errors = study.errors.of_inputs if estimates else None
     if (sample := modelled_sample(study)) is not None:
         friction, size = study.friction, study.grid.element_size
         # all else was refused when the study was read
@@ -162,7 +166,7 @@ def stress_of(
             sample_friction=friction.sample,
             element_size=size,
             smoothing=study.sample.stiffness_smoothing,
-            input_errors=InputErrors(**study.errors.model_dump()),
+            input_errors=input_errors,
             threads=study.grid.threads,
             progress=progress,
         )
@@ -174,7 +178,7 @@ def stress_of(
         mesh_check=estimates,
         edge_check=estimates,
         progress=progress,
-        input_errors=InputErrors(**study.errors.model_dump()) if estimates else None,
+        input_errors=input_errors,
         **solver_settings(study, loaded),
     )
     return _with_thickness(result, thickness)

@@ -275,7 +275,9 @@ def parameters(study: Study) -> dict[str, Any]:
 
 
 def unused_errors(study: Study) -> set[str]:
-    """Inputs of ``[errors]`` that the study does not have."""
+    """Keys of ``[errors]`` that change nothing: inputs that the study does not have, or all."""
+    if not study.errors.estimates:
+        return set(type(study.errors).model_fields) - {"estimates"}
     return set() if study.sample.modelled else set(OF_SAMPLE)
 
 

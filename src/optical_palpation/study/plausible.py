@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from optical_palpation.errors import InputError, MaterialError
-from optical_palpation.palpation import InputErrors
 from optical_palpation.palpation.meshing import SLIP_LENGTHS
 from optical_palpation.palpation.plausibility import (
     check_depth,
@@ -79,7 +78,7 @@ def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
         except InputError as error:
             raise InputError(f"{where}, [grid]: {error}") from error
     try:
-        InputErrors(**study.errors.model_dump()).check_thickness(depth)
+        study.errors.of_inputs.check_thickness(depth)
     except InputError as error:
         raise InputError(f"{where}, [errors]: {error}") from error
     slip, longest = study.friction.slip_length, SLIP_LENGTHS[1] * depth

@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 
 from optical_palpation.material import Law, make_law
 from optical_palpation.palpation.accuracy import HIGHEST, LOWEST
-from optical_palpation.palpation.input_errors import INPUT_ERRORS
+from optical_palpation.palpation.input_errors import INPUT_ERRORS, InputErrors
 
 Positive = Annotated[float, Field(gt=0)]
 Text = Annotated[str, Field(min_length=1)]
@@ -236,9 +236,11 @@ class Errors(Table):
     """Half-widths of the 95 % intervals of the inputs; no error bands if all are 0.
 
     Those of plate friction, compression, sample thickness and total force need a sample in the
-    model.
+    model. ``estimates`` tells whether what they do to the stress is estimated at all, and what mesh
+    and sides do.
     """
 
+    estimates: bool = True
     window_friction: Coefficient = INPUT_ERRORS.window_friction
     sample_friction: Coefficient = INPUT_ERRORS.sample_friction
     modulus: Fraction = INPUT_ERRORS.modulus
@@ -248,6 +250,11 @@ class Errors(Table):
     compression: Fraction = INPUT_ERRORS.compression
     sample_thickness: Fraction = INPUT_ERRORS.sample_thickness
     total_force: Fraction = INPUT_ERRORS.total_force
+
+    @property
+    def of_inputs(self) -> InputErrors:
+        """The errors of the inputs."""
+        return InputErrors(**self.model_dump(exclude={"estimates"}))
 
 
 class Outputs(Table):

@@ -24,7 +24,7 @@ def _lines(study: Study) -> Iterator[str]:
     if study.friction.slip_length is not None:
         friction["slip_length"] = study.friction.slip_length
     modelled = study.sample.modelled
-    errors = study.errors.model_dump(exclude_defaults=True)
+    errors = study.errors.model_dump(exclude_defaults=True) if study.errors.estimates else {}
     packages = ["material", "stiffness" if modelled else "palpation", "thickness"]
     if errors and modelled:
         packages.insert(1, "palpation")
@@ -62,6 +62,8 @@ def _lines(study: Study) -> Iterator[str]:
     yield f"    {_arguments(grid)}{'' if motion is None else ', sample_motion=motion'},"
     if errors:
         yield "    input_errors=errors,"
+    elif not study.errors.estimates:
+        yield "    mesh_check=False, edge_check=False, input_errors=None,"
     yield ")"
 
 
@@ -103,7 +105,9 @@ def _with_sample(study: Study, friction: Mapping[str, object]) -> Iterator[str]:
     yield "result = stiffness.sample_stress("
     yield f"    loaded, unloaded, silicone, sample, {_arguments(friction)},"
     yield f"    {_arguments(solving)},"
-    if study.errors.model_dump(exclude_defaults=True):
+    if not study.errors.estimates:
+        yield "    input_errors=None,"
+    elif study.errors.model_dump(exclude_defaults=True):
         yield "    input_errors=errors,"
     yield ")"
 

@@ -230,7 +230,7 @@ class Session:
             self._thickness = made_from, thickness_of(study, found)
         return self._thickness[1]
 
-    def solve(self, progress: Tell | None = None, *, estimates: bool = True) -> StressResult:
+    def solve(self, progress: Tell | None = None, *, estimates: bool | None = None) -> StressResult:
         """Compute the stress of the study as it stands, from the unloaded layer.
 
         Parameters
@@ -238,8 +238,8 @@ class Session:
         progress
             As for :func:`~optical_palpation.study.run_study`.
         estimates
-            Whether to estimate the errors by the mesh, the sides and the inputs; it changes
-            nothing else.
+            Whether to estimate the errors by the mesh, the sides and the inputs, by default as
+            the study says; it changes nothing else.
 
         Raises
         ------

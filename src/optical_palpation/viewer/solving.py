@@ -121,7 +121,7 @@ class Solving(QGroupBox):
             changes["grid.element_size"] = size
         self._bench.session.change(changes)
 
-    def solve(self, estimates: bool = True) -> None:
+    def solve(self, estimates: bool | None = None) -> None:
         """Compute the stress in the background, and show it."""
         bench = self._bench
         try:
