@@ -336,7 +336,8 @@ LONG = {"stress", "submodel", "run", "watch", "friction", "experiment", "uncerta
 def test_all_commands_speak_alike(name, run):
     command = COMMANDS[name]
     options = {option for p in command.params for option in p.opts}
-    assert "--quiet" in options
+    assert {"--quiet", "-q"} <= options
+    assert ("-o" in options) == ("--output" in options)
     assert ("--threads" in options) >= (name in LONG)
     _, out, _ = run(name, "--help")
     usage = out.splitlines()[0].removeprefix(f"Usage: optical-palpation {name} [OPTIONS]")
@@ -348,7 +349,7 @@ def test_all_commands_speak_alike(name, run):
             assert metavar == metavar.upper(), metavar
         long = [option for option in parameter.opts if option.startswith("--")]
         assert not [o for o in long if "out" in o and o not in ("--output",)], long
-        assert not any(o in ("--silent", "--verbose", "--jobs", "-q") for o in parameter.opts)
+        assert not any(o in ("--silent", "--verbose", "--jobs") for o in parameter.opts)
     flags = [p for p in command.params if "--quiet" in p.opts]
     assert all(not flag.secondary_opts for flag in flags), "--no-quiet"
 

@@ -48,6 +48,7 @@ app = typer.Typer(
     epilog="A study from end to end: optical-palpation new study.toml, fill it in, then "
     "optical-palpation run study.toml. Shell completion: optical-palpation --install-completion.",
     no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode=None,  # its boxes show types of Python
     pretty_exceptions_enable=False,
 )

@@ -30,7 +30,10 @@ def batch(
     output: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER", help="Folder of the results.  [default: named after TABLE, beside it]"
+            "--output",
+            "-o",
+            metavar="FOLDER",
+            help="Folder of the results.  [default: named after TABLE, beside it]",
         ),
     ] = None,
     regions: Annotated[

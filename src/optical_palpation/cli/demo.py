@@ -22,7 +22,10 @@ Open {report} in a browser, or look at {picture}."""
 
 def demo(
     output: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Folder for the results; made if need be.")
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FOLDER", help="Folder for the results; made if need be."
+        ),
     ] = Path("demo-output"),
     threads: Threads = None,
     quiet: Quiet = False,

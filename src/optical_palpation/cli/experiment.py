@@ -23,7 +23,10 @@ def experiment(
         ),
     ],
     output: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Folder for the results; made if need be.")
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FOLDER", help="Folder for the results; made if need be."
+        ),
     ] = Path("experiment-output"),
     element_size: Annotated[
         float | None,

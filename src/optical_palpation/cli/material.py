@@ -95,7 +95,8 @@ def material(
         typer.Option(metavar="LOW HIGH", help="Strains since contact to fit, both positive."),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write the fits (.json).")
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Also write the fits (.json)."),
     ] = None,
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also draw test and fits (.png, .pdf).")

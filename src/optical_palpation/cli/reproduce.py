@@ -14,7 +14,13 @@ from optical_palpation.cli.progress import ProgressDisplay
 
 def reproduce(
     output: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Folder of pages and pictures; made if need be.")
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FOLDER",
+            help="Folder of pages and pictures; made if need be.",
+        ),
     ],
     only: Annotated[
         list[str] | None,

@@ -37,7 +37,9 @@ def read(path: Path) -> StressResult:
 
 def figure(
     result: _Result,
-    output: Annotated[Path, typer.Option(metavar="FILE", help="Figure (.png, .pdf, .svg).")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="Figure (.png, .pdf, .svg).")
+    ],
     map: Annotated[
         list[str] | None,
         typer.Option(
@@ -104,7 +106,8 @@ def regions(
         ),
     ],
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write the table (.csv).")
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Also write the table (.csv)."),
     ] = None,
     plot: Annotated[
         Path | None,
@@ -142,7 +145,8 @@ def compare(
         ),
     ],
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write the differences (.nc).")
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Also write the differences (.nc)."),
     ] = None,
     plot: Annotated[
         Path | None,
@@ -197,7 +201,7 @@ def _study_name(folder: Path) -> str:
 
 def report(
     result: _Result,
-    output: Annotated[Path, typer.Option(metavar="FILE", help="Report (.html).")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Report (.html).")],
     compare: Annotated[
         list[Path] | None,
         typer.Option(
@@ -247,6 +251,8 @@ def convert(
     output: Annotated[
         list[Path],
         typer.Option(
+            "--output",
+            "-o",
             metavar="FILE",
             help="What to write, by its ending: .mat (MATLAB, Octave), .tif (ImageJ), .vts "
             "(ParaView), .csv (profiles), .nc, .png, .pdf, .svg; may be repeated.",

@@ -22,7 +22,9 @@ def sample(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Folder; made if need be.  [default: NAME]"),
+        typer.Option(
+            "--output", "-o", metavar="FOLDER", help="Folder; made if need be.  [default: NAME]"
+        ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:

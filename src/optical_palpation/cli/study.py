@@ -55,6 +55,8 @@ def run(
     output: Annotated[
         Path | None,
         typer.Option(
+            "--output",
+            "-o",
             metavar="FOLDER",
             help="Result folder, of a single study; after the study file by default.",
             show_default=False,

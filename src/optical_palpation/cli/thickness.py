@@ -43,7 +43,9 @@ def thickness(
             show_default=False,
         ),
     ],
-    output: Annotated[Path, typer.Option(metavar="FILE", help="Thickness map, NetCDF (.nc).")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="Thickness map, NetCDF (.nc).")
+    ],
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also draw maps and B-scans (.png, .pdf).")
     ] = None,

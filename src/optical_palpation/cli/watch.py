@@ -25,6 +25,8 @@ def watch(
     output: Annotated[
         Path | None,
         typer.Option(
+            "--output",
+            "-o",
             metavar="FOLDER",
             help="Result folder; FOLDER-stress beside the watched one by default.",
             show_default=False,
@@ -57,7 +59,9 @@ def watch(
         ),
     ] = False,
     threads: Threads = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but failures.")] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Print nothing but failures.")
+    ] = False,
 ) -> None:
     """Compute the stress of each volume or map as it arrives in a folder, until Ctrl-C.
 
