@@ -1157,6 +1157,7 @@ def test_parameters_have_units():
         "friction": {"window": 0.15},
         "loaded": {"spacing": {"z": 0.003}, "window": "line", "refractive_index": None},
         "window_force_mN": 31.5,
+        "errors": {"modulus": 0.05, "sample_thickness": 0.05, "initial_thickness": 0.002},
     }
     rows = {name: value for _, section in parameter_sections(given) for name, value in section}
     assert rows["c10"] == "2.23 kPa"
@@ -1164,6 +1165,8 @@ def test_parameters_have_units():
     assert rows["edges"] == "free"
     assert rows["spacing.z"] == "0.003 mm"
     assert rows["window_force"] == "31.5 mN"
+    assert rows["modulus"] == rows["sample_thickness"] == "0.05 (fraction)"
+    assert rows["initial_thickness"] == "0.002 mm"
     assert rows["refractive_index"] == "not given"
 
 

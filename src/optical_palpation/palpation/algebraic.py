@@ -1,4 +1,4 @@
-"""The algebraic method (section 3 of the paper): every pixel a uniaxial test of its own."""
+"""The algebraic method (section 3 of the paper): each pixel an independent uniaxial test."""
 
 from __future__ import annotations
 

@@ -473,8 +473,8 @@ def _row(name: str, value: object, section: str) -> tuple[str, str]:
         unit = _UNITS.get(last, "")
         if section == "friction" or "friction" in last:
             unit = "(coefficient)"
-        if section == "sample":
-            unit = _OF_SAMPLE.get(last, unit)
+        if section in _OF_SECTION:
+            unit = _OF_SECTION[section].get(last, unit)
     return name, f"{text} {unit}" if unit and text != "not given" else text
 
 
@@ -509,7 +509,10 @@ _UNITS = {
 }
 
 
-_OF_SAMPLE = {"motion": "(strain)", "compression": "mm", "size": "mm", "total_force": "mN"}
+_OF_SECTION = {
+    "sample": {"motion": "(strain)", "compression": "mm", "size": "mm", "total_force": "mN"},
+    "errors": dict.fromkeys(("compression", "sample_thickness", "total_force"), "(fraction)"),
+}
 
 
 def _is_numeric(value: object) -> bool:
