@@ -285,6 +285,34 @@ def test_check_reads_everything_and_writes_nothing(here, run, told):
     assert sorted(path.name for path in here.iterdir()) == before
 
 
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("stress", ["missing: MAP..., --initial-thickness NUMBER|MAP, --output FILE"]),
+        ("regions a.nc", ["missing: REGIONS"]),
+        ("run .", [".: is a folder; give a study file, such as study.toml"]),
+        ("run map.npy", ["map.npy: line 1 is not UTF-8", "optical-palpation new study.toml"]),
+        ("run study.toml --threads two", ["--threads", "must be a whole number"]),
+        ("run study.toml --threads 0", ["--threads", "at least 1"]),
+        ("figure a.nc --output f.pdf --map axial_stress --limits low high", ["must be a number"]),
+        ("figure study.toml --output f.pdf", ["give the result folder of a study, such as mine"]),
+        ("figure . --output f.pdf", ["give the result folder of a study, such as mine"]),
+        ("figure map.npy --output f.pdf", ["map.npy: is no result"]),
+        ("compare a.nc", ["Error: give two results at least"]),
+        ("sample coin", ["'coin' is not one of 'plate', 'relief', 'nodule'"]),
+    ],
+)
+def test_errors_that_a_stranger_meets_say_what_to_do(here, run, command, words):
+    (here / "mine").mkdir()
+    write_result(result(), here / "mine" / "stress.nc")
+    status, out, err = run(*command.split())
+    assert (status, out) == (2, "")
+    for word in words:
+        assert word in err
+    for python in ("Traceback", "Errno", "Value error", "Input should"):
+        assert python not in err
+
+
 def test_errors_of_a_study_file_are_told_in_its_own_language(here, run):
     for old, new, words in (
         ("0.15", "true", "friction.window = true"),

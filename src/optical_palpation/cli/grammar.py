@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup
 
 _PROMPT = "$ "
+#: Of click, or of the copy of it in typer.
+_UsageError: Any = typer.BadParameter.__mro__[1]
+#: What typer says of values by way of pydantic, and plain words for it.
+_PLAIN = {
+    r"Value error, (.*)": r"\1",
+    r"Input should be a valid integer.*": "must be a whole number",
+    r"Input should be a valid number.*": "must be a number",
+    r"Input should be greater than or equal to (.*)": r"must be at least \1",
+}
 
 
 def epilog(examples: Sequence[str], cost: str = "") -> str:
@@ -19,13 +30,40 @@ def epilog(examples: Sequence[str], cost: str = "") -> str:
 
 
 class Command(TyperCommand):
-    """A command whose help names what it takes and no types of Python."""
+    """A command whose help and errors name what it takes and no types of Python."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         for parameter in self.params:
             if isinstance(parameter, TyperArgument) and hasattr(parameter, "display_type_rich"):
                 parameter.display_type_rich = lambda ctx: None  # type: ignore[method-assign]
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse; all that is missing is told at once."""
+        try:
+            return super().parse_args(ctx, list(args))
+        except typer.BadParameter as error:
+            given, *_ = self.make_parser(ctx).parse_args(args=list(args))
+            missing = [
+                parameter
+                for parameter in self.get_params(ctx)
+                if parameter.required and given.get(str(parameter.name)) in (None, (), [])
+            ]
+            if type(error).__name__ == "MissingParameter" and missing:
+                names = ", ".join(_name(parameter) for parameter in missing)
+                raise _UsageError(f"missing: {names}", ctx) from None
+            for said, words in _PLAIN.items():
+                error.message = re.sub(f"^{said}$", words, error.message)
+            raise
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; of what does not go together no single value is invalid."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            if error.param is None and error.param_hint is None:
+                raise _UsageError(error.message, ctx) from None
+            raise
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Name the arguments as their help does; in brackets what may be left out."""
@@ -56,6 +94,14 @@ class Group(TyperGroup):
         rows = [(name, of.get_short_help_str(limit=200)) for name, of in commands if of is not None]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
+
+
+def _name(parameter: Any) -> str:
+    """What to call a parameter that is missing."""
+    metavar = str(parameter.metavar or parameter.name).upper()
+    if isinstance(parameter, TyperArgument):
+        return metavar
+    return f"{max(parameter.opts, key=len)} {metavar}"
 
 
 def _broken(command: str, width: int) -> Iterator[str]:

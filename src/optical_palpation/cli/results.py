@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optical_palpation.cli.options import Quiet, print_files
+from optical_palpation.errors import InputError
 
 if TYPE_CHECKING:
     from optical_palpation.palpation import StressResult
 
 _Result = Annotated[
     Path,
-    typer.Argument(metavar="RESULT", help="A result (.nc), or the folder of a study."),
+    typer.Argument(metavar="RESULT", help="A result (.nc), or the result folder of a study."),
 ]
 _Regions = Annotated[
     Path | None,
@@ -29,10 +30,15 @@ _Regions = Annotated[
 
 
 def read(path: Path) -> StressResult:
-    """Read a result, or that in the folder of a study."""
+    """Read a result, or that in the result folder of a study."""
     from optical_palpation.present import read_result
 
-    return read_result(path / "stress.nc" if path.is_dir() else path)
+    file = path / "stress.nc" if path.is_dir() else path
+    if path.suffix.lower() == ".toml" or (path.is_dir() and not file.is_file()):
+        inside = sorted((path if path.is_dir() else path.parent).glob("*/stress.nc"))
+        made = f"such as {inside[0].parent}" if inside else "which 'optical-palpation run' makes"
+        raise InputError(f"{path}: is no result; give the result folder of a study, {made}")
+    return read_result(file)
 
 
 def figure(
@@ -141,7 +147,7 @@ def compare(
         list[Path],
         typer.Argument(
             metavar="RESULT RESULT...",
-            help="Two or more results (.nc) or folders of studies; the first is the reference.",
+            help="Two or more results (.nc) or result folders of studies, the reference first.",
         ),
     ],
     output: Annotated[

@@ -105,6 +105,9 @@ def read_result(path: str | Path) -> StressResult:
         raise InputError(f"{path}: is a folder; a result is a file in it, such as stress.nc")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
+    with path.open("rb") as stream:
+        if not hdf5.recognises(path, stream.read(2056)):
+            raise InputError(f"{path}: is no result, which is a NetCDF file such as stress.nc")
     try:
         with hdf5.open_file(path) as file:  # refuses what is no NetCDF-4 file, or damaged
             inside = {

@@ -73,6 +73,18 @@ def read_study(path: str | Path, changes: Mapping[str, object] | None = None) ->
         value, and what would be right.
     """
     path = Path(path)
+    if path.is_dir():
+        inside = sorted(path.glob("*.toml"))
+        hint = f", such as {inside[0]}" if inside else ""
+        raise InputError(f"{path}: is a folder; give a study file{hint}")
+    kind = (
+        ""
+        if path.suffix.lower() == ".toml"
+        else (
+            "; a study file is text that names the volumes, and 'optical-palpation new study.toml' "
+            "writes one to fill in"
+        )
+    )
     try:
         content = path.read_bytes()
         given = tomllib.loads(content.decode("utf-8"))
@@ -85,15 +97,15 @@ def read_study(path: str | Path, changes: Mapping[str, object] | None = None) ->
         lines = content.decode("utf-8").split("\n")[: int(found[1])] if found else [""]
         line = lines[-1].strip()
         raise InputError(
-            f"{path}: is no valid TOML: {error}{': ' + line[:80] if line else ''}"
+            f"{path}: is no valid TOML: {error}{': ' + line[:80] if line else ''}{kind}"
         ) from error
     except UnicodeDecodeError as error:
         number = content[: error.start].count(b"\n") + 1
         raise InputError(
-            f"{path}: line {number} is not UTF-8; save the file as text in UTF-8"
+            f"{path}: line {number} is not UTF-8{kind or '; save the file as text in UTF-8'}"
         ) from error
     except OSError as error:
-        raise InputError(f"{path}: the study file cannot be read ({error})") from error
+        raise InputError(f"{path}: the study file cannot be read ({error.strerror})") from error
     given = changed(given, changes or {})
     if unfilled := list(_unfilled(given)):
         raise InputError(f"{path}: these have still to be filled in:\n" + "\n".join(unfilled))

@@ -295,10 +295,11 @@ def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.Pat
 
 
 def _choose(variables: Mapping[str, Variable], wanted: str | None, path: Path) -> str:
-    listing = ", ".join(
-        f"{name} ({' x '.join(map(str, array.shape)) or 'scalar'} {array.dtype})"
+    described = {
+        name: f"{name} ({' x '.join(map(str, array.shape)) or 'scalar'} {array.dtype})"
         for name, array in variables.items()
-    )
+    }
+    listing = ", ".join(described.values())
     if wanted is not None:
         if list(variables) == [""]:
             raise InputError(f"{path} holds one map without a name: leave out variable {wanted!r}")
@@ -321,10 +322,14 @@ def _choose(variables: Mapping[str, Variable], wanted: str | None, path: Path) -
     at_root = [name for name in fitting if "/" not in name]
     fitting = at_root or fitting
     if len(fitting) != 1:
-        problem = "more than one array that can be" if fitting else "no array that can be"
+        if fitting:
+            raise InputError(
+                f"{path} holds more than one array that can be a thickness map: "
+                f"{', '.join(described[name] for name in fitting)}. "
+                "Name one of them as variable (--variable)"
+            )
         raise InputError(
-            f"{path} holds {problem} a thickness map (two-dimensional, floating-point, at least "
-            f"2 x 2 pixels): {listing or 'it has no arrays of numbers'}"
-            + (". Name one of them as variable" if fitting else "")
+            f"{path} holds no array that can be a thickness map (two-dimensional, floating-point, "
+            f"at least 2 x 2 pixels): {listing or 'it has no arrays of numbers'}"
         )
     return fitting[0]
