@@ -361,6 +361,8 @@ def test_uniaxial_tables_that_are_understood(tmp_path, header, columns, options)
         ("displacement_mm,force_MN", (STRAIN, STRESS), {}, "is in 'MN'"),
         ("strain,stress kPa MPa", (STRAIN, STRESS), {}, "several units"),
         ("strain,stress", (STRAIN, 1e3 * STRESS), {}, "names no unit"),
+        ("strain,stress", (STRAIN, 1e-4 * STRESS), {}, "names no unit"),
+        ("displacement_mm,force_kN", (STRAIN, 10 * STRESS), {}, "Check its unit, and height"),
         ("tension strain,stress", (-100 * STRAIN, -STRESS), {}, "percent"),
         ("strain,stress_kPa", (STRAIN, STRESS), {"index": True}, "3 cells under a header of 2"),
         ("strain,stress_kPa,note", (STRAIN, STRESS), {}, "2 cells under a header of 3"),
@@ -524,6 +526,16 @@ def test_motion_by_labels_and_units(tmp_path):
     for axis in "xy":
         np.testing.assert_allclose(found[f"sample_displacement_{axis}"], motion)
     np.testing.assert_allclose(found.x, X)
+
+
+def test_motion_in_the_unit_of_the_file_and_its_mask(tmp_path):
+    motion, hole = 0.01 * MAP, np.eye(*MAP.shape, dtype=bool)
+    parts = {f"sample_displacement_{axis}": 1e3 * motion for axis in "xy"}
+    np.savez(tmp_path / "m.npz", x_mm=X, y_mm=Y, units="um", filled=hole, **parts)
+    found = read_sample_motion(tmp_path / "m.npz")
+    for axis in "xy":
+        expected = np.where(hole, np.nan, motion)
+        np.testing.assert_allclose(found[f"sample_displacement_{axis}"], expected)
 
 
 @given(

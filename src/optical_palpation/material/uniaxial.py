@@ -42,7 +42,8 @@ _REMARKS = {"engineering", "nominal", "true", "cauchy", "logarithmic", "compress
 _REMARKS |= {"compressive", "tensile", "axial", "abs", "mean", "average", "corrected"}
 # Above these a column without a unit is in another one than is assumed.
 _LARGEST_STRAIN = 3.0
-_STIFFEST = 5e3  # kPa, secant modulus: beyond any layer
+# kPa, secant moduli of layers; and of the hardest rubbers.
+_SOFTEST, _STIFFEST, _HARDEST = 0.1, 5e3, 2e4
 
 
 @dataclass(frozen=True)
@@ -236,12 +237,8 @@ def read_uniaxial_test(
         y = y * _FORCE_UNITS[stress_unit or "n"] / area
         found = "engineering"
 
-    if stress_unit is None and np.abs(y).max() > _STIFFEST * np.abs(x).max() > 0.0:
-        raise InputError(
-            f"{path}: column {stress_name!r} names no unit; taken as "
-            f"{'kPa' if 'stress' in _words(stress_name) else 'N'} it gives a modulus of "
-            f"{np.abs(y).max() / np.abs(x).max():.3g} kPa. Say its unit in its name"
-        )
+    if (largest := np.abs(x).max()) > 0.0:
+        _check_modulus(float(np.abs(y).max() / largest), stress_name, stress_unit, path)
     end = int(np.argmax(np.abs(x)))
     x, y = x[: end + 1], y[: end + 1]
     sign = _direction(x, y, f"{strain_name} {stress_name}", loading, path)
@@ -249,6 +246,20 @@ def read_uniaxial_test(
     y = sign * np.sign(y[-1]) * y
     true_strain = found == "true" and "strain" in _words(strain_name)
     return UniaxialTest(np.exp(x) if true_strain else 1.0 + x, y, found, path.name)
+
+
+def _check_modulus(modulus: float, name: str, unit: str | None, path: Path) -> None:
+    """Refuse a secant modulus (kPa) of no layer."""
+    low, high = (_SOFTEST, _STIFFEST) if unit is None else (0.0, _HARDEST)
+    if low <= modulus <= high:
+        return
+    assumed = "kPa" if "stress" in _words(name) else "N"
+    raise InputError(
+        f"{path}: column {name!r} "
+        + (f"names no unit; taken as {assumed} it" if unit is None else f"in {unit}")
+        + f" gives a modulus of {modulus:.3g} kPa. "
+        + ("Say its unit in its name" if unit is None else "Check its unit, and height and area")
+    )
 
 
 def _words(name: str) -> set[str]:
