@@ -105,7 +105,7 @@ def read_corrections(path: str | Path) -> Corrections:
     """
     kinds = {"anchor": 3, "exclude": 4}
     try:
-        lines = Path(path).read_text(encoding="utf-8").splitlines()
+        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: corrections cannot be read: {error}") from error
     anchors, exclusions = [], []

@@ -105,6 +105,8 @@ class PagedArray:
         page = self._read_page(index)
         if page.shape != self.shape[1:]:
             raise InputError(f"page {index} has shape {page.shape}, not {self.shape[1:]}")
+        if not np.can_cast(page.dtype, self.dtype, "same_kind"):
+            raise InputError(f"page {index} holds {page.dtype}, not {self.dtype}")
         return page
 
 

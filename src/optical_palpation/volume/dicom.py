@@ -55,6 +55,8 @@ def contents(path: Path, wanted: str | None) -> Contents:
     if bits not in (8, 16, 32):
         raise InputError(f"{path}: {bits} bits per sample are not supported")
     stored = np.dtype(f"{'i' if header.get('PixelRepresentation', 0) else 'u'}{bits // 8}")
+    if bits == 32 and "BitsStored" not in header:  # those of FloatPixelData
+        stored = np.dtype("f4")
     check_array((frames, rows, columns), stored, str(path))
     size = path.stat().st_size
     needed = nbytes((frames, rows, columns), stored)
@@ -123,9 +125,31 @@ def _stated(path: Path, header: Any, frames: int) -> Stated:
             measures = items[0]
     rows, columns = _numbers(path, measures, "PixelSpacing", 2)
     (between,) = _numbers(path, measures, "SpacingBetweenSlices", 1)
+    _check_positions(path, header, between)
     if frames == 1:
         return Stated(axes="zx", spacing=(rows, columns))
     return Stated(axes="yzx", spacing=(between, rows, columns))
+
+
+def _check_positions(path: Path, header: Any, between: float | None) -> None:
+    """Refuse frames that do not follow each other evenly, where the file tells their positions."""
+    groups = header.get("PerFrameFunctionalGroupsSequence") or ()
+    planes = [frame.get("PlanePositionSequence") for frame in groups]
+    if len(planes) < 2 or not all(planes):
+        return
+    at = [_numbers(path, plane[0], "ImagePositionPatient", 3) for plane in planes]
+    steps = np.diff(np.array(at, float), axis=0)
+    mean = steps.mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    if not np.all(np.abs(steps - mean) <= 0.01 * length):
+        raise InputError(
+            f"{path}: its frames are not stored in the order of their positions, or not evenly "
+            "spaced; sort them"
+        )
+    if between is not None and abs(length - abs(between)) > 0.01 * length:
+        raise InputError(
+            f"{path}: its frames lie {length:g} mm apart, SpacingBetweenSlices says {between:g}"
+        )
 
 
 def _number(path: Path, header: Any, name: str, default: float) -> float:

@@ -24,6 +24,7 @@ FORMAT = "B-scan images"
 
 _MAGIC = (b"\x89PNG\r\n\x1a\n", b"BM", b"\xff\xd8\xff")
 _SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff")
+_NOT_READ = (".gif", ".webp", ".jp2", ".j2k", ".pgm", ".pnm", ".ppm", ".dng", ".avif", ".heic")
 _ORIENTATION = 274  # of EXIF
 _PILLOW_FORMATS = ("PNG", "BMP", "JPEG")
 _TYPES = {"L": np.uint8, "I;16": np.uint16, "I;16B": np.uint16, "I": np.int32, "F": np.float32}
@@ -66,19 +67,35 @@ def _images(folder: Path) -> list[Path]:
                     raise InputError(
                         f"{file}: is no image, whatever its name says; empty or damaged?"
                     )
+                elif file.suffix.lower() in _NOT_READ:
+                    raise InputError(f"{file}: save it as PNG or TIFF; this format is not read")
     return sorted(found, key=_natural)
 
 
 def _check_sequence(files: list[Path]) -> None:
-    """Refuse numbered files among which one is missing: it would leave a gap along y."""
+    """Refuse numbered files whose order is not clear, or among which one is missing."""
     names = [re.split(r"([0-9]+)", file.name) for file in files]
-    columns = list(zip(*names, strict=False))
-    varying = [column for column in columns if len(set(column)) > 1]
-    if len({len(name) for name in names}) != 1 or len(varying) != 1:
+    if not any(len(name) > 1 for name in names):
+        return  # without numbers
+    for name, file in zip(names, files, strict=True):
+        if name[::2] != names[0][::2]:
+            raise InputError(
+                f"{file.parent}: {files[0].name} and {file.name} are not named alike but for whole "
+                "numbers, which give the B-scans their order; rename them, or move away what is no "
+                "B-scan"
+            )
+    columns = list(zip(*names, strict=True))
+    varying = [n for n, column in enumerate(columns) if len(set(column)) > 1]
+    for whole, digits in pairwise(varying):
+        fraction = digits == whole + 2 and columns[whole + 1][0] in (".", ",")
+        if fraction and len({len(part) for part in columns[digits]}) > 1:
+            raise InputError(
+                f"{files[0].parent}: decimals in names, as in {files[0].name}, do not give an "
+                "order; number the B-scans with whole numbers"
+            )
+    if len(varying) != 1:
         return
-    if not all(part.isdecimal() for part in varying[0]):
-        return
-    numbers = [int(part) for part in varying[0]]
+    numbers = [int(part) for part in columns[varying[0]]]
     steps = [b - a for a, b in pairwise(numbers)]
     for (before, after), step in zip(pairwise(files), steps, strict=True):
         if step != min(steps):

@@ -79,12 +79,9 @@ def contents(path: Path, wanted: str | None) -> Contents:
     scaled = proxy.slope != 1 or proxy.inter != 0
     data = np.asanyarray(proxy) if compressed else _Scaled(proxy, dtype, scaled)
     array = squeezed(LazyArray(data, None if compressed else (*shape[:-1], 1)))
-    return Contents.single(
-        array,
-        _stated(header, array.shape),
-        "loaded" if compressed else "mapped",
-        dims=tuple("xyz"[: len(array.shape)]),
-    )
+    stated = _stated(header, array.shape, str(path))
+    dims = tuple("xyz"[: len(array.shape)]) if _is_upright(header) else ()
+    return Contents.single(array, stated, "loaded" if compressed else "mapped", dims=dims)
 
 
 class _Scaled:
@@ -99,13 +96,25 @@ class _Scaled:
         return self._proxy[key]
 
 
-def _stated(header: Any, shape: tuple[int, ...]) -> Stated:
-    axes = "xyz" if len(shape) == 3 and _is_upright(header) else None
+def _stated(header: Any, shape: tuple[int, ...], path: str) -> Stated:
+    import nibabel
+
+    upright = _is_upright(header)
+    if len(shape) == 2 and not upright:
+        raise InputError(f"{path}: its header swaps x and y; save it with the axes x, y")
+    axes = "xyz" if len(shape) == 3 and upright else None
     unit = header.get_xyzt_units()[0]
     factor = {"mm": 1.0, "meter": 1e3, "micron": 1e-3}.get(unit)
     if factor is None:
         return Stated(axes=axes)
     zooms = header.get_zooms()[: len(shape)]
+    if header["qform_code"] > 0 or header["sform_code"] > 0:
+        of_transform = nibabel.affines.voxel_sizes(header.get_best_affine())[: len(shape)]
+        if not np.allclose(of_transform, zooms, rtol=1e-3):
+            raise InputError(
+                f"{path}: its header says voxels of {tuple(map(float, zooms))} {unit}, its "
+                f"transform {tuple(map(float, of_transform))}; save it with one of them"
+            )
     return Stated(axes=axes, spacing=tuple(float(step) * factor for step in zooms))
 
 

@@ -73,18 +73,18 @@ def contents(path: Path, wanted: str | None) -> Contents:
 
 
 def _sidecar(path: Path) -> Path | None:
-    for suffix in (".toml", ".json"):
-        sidecar = path.with_name(path.name + suffix)
-        if sidecar.is_file():
-            return sidecar
-    return None
+    both = [path.with_name(path.name + suffix) for suffix in (".toml", ".json")]
+    found = [sidecar for sidecar in both if sidecar.is_file()]
+    if len(found) > 1:
+        raise InputError(f"{path}: has two sidecars, {found[0].name} and {found[1].name}; keep one")
+    return found[0] if found else None
 
 
 def _entries(sidecar: Path) -> dict[str, Any]:
     if sidecar.stat().st_size > 2**16:
         raise InputError(f"{sidecar}: too large for a sidecar")
     try:
-        text = sidecar.read_text("utf-8")
+        text = sidecar.read_text("utf-8-sig")
         entries = tomllib.loads(text) if sidecar.suffix == ".toml" else json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{sidecar}: cannot be read ({error})") from error

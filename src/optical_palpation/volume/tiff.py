@@ -23,14 +23,15 @@ from .archive import check_ratio
 from .arrays import MAX_BSCAN_BYTES, FileArray, PagedArray, check_array, nbytes, squeezed
 from .cf import Decoded
 from .contents import Contents
-from .metadata import Stated, parse_xml
+from .metadata import Access, Stated, parse_xml
 from .units import length_unit, to_mm
 
 FORMAT = "TIFF"
 
 MAGIC = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 _MAX_PAGES, _MAX_TAGS = 100_000, 4096
-_LZW = 5
+_LZW, _ORIENTATION = 5, 274
+_UNCALIBRATED = 20  # ImageJ's number of the calibration function "none"
 # Vendors' multi-page conventions; some follow references to other files.
 _VENDORS = (
     *("lsm", "mmstack", "ndtiff", "fluoview", "stk", "sis", "svs", "scn", "qpi", "ndpi", "bif"),
@@ -77,6 +78,7 @@ def _check_directories(path: Path) -> None:
         order = "<" if head[:2] == b"II" else ">"
         big = head[2:4] in (b"+\x00", b"\x00+")
         count, tag, link = ("Q", 20, "Q") if big else ("H", 12, "I")
+        link_size = struct.calcsize(link)
         (position,) = struct.unpack_from(order + link, head, 8 if big else 4)
         seen: set[int] = set()
         while position:
@@ -92,8 +94,21 @@ def _check_directories(path: Path) -> None:
             end = position + struct.calcsize(count) + tags * tag
             if tags > _MAX_TAGS or end > size:
                 raise InputError(f"{path}: page directory {len(seen) - 1} is damaged")
-            stream.seek(end)
+            entries = _exactly(stream, tags * tag, path)
+            for at in range(0, len(entries), tag):
+                if struct.unpack_from(order + "H", entries, at)[0] == _ORIENTATION:
+                    value = struct.unpack_from(order + "H", entries, at + tag - link_size)[0]
+                    _check_orientation(path, value)
             (position,) = struct.unpack(order + link, _exactly(stream, struct.calcsize(link), path))
+
+
+def _check_orientation(path: Path, orientation: int) -> None:
+    if orientation != 1:
+        raise InputError(
+            f"{path}: its orientation tag says {orientation}, that rows or columns run from "
+            "another corner than the top left, which most software overlooks: turn the image as it "
+            "should be and save it with orientation 1"
+        )
 
 
 def _exactly(stream: IO[bytes], n: int, path: Path) -> bytes:
@@ -119,13 +134,6 @@ def page_array(path: Path, file: Any) -> Any:
         raise InputError(f"{path}: colour images; save the OCT signal in grey")
     if page.photometric == 0:
         raise InputError(f"{path}: inverted grey (0 is white); save it with 0 as black")
-    orientation = _tag(page, "Orientation", 1)
-    if orientation != 1:
-        raise InputError(
-            f"{path}: its orientation tag says {orientation}, that rows or columns run from "
-            "another corner than the top left, which most software overlooks: turn the image as it "
-            "should be and save it with orientation 1"
-        )
     if page.compression == _LZW and page.fillorder != 1:
         raise InputError(f"{path}: LZW with reversed bits; save it uncompressed or with deflate")
     check_array(shape, dtype, str(path))
@@ -182,13 +190,44 @@ def _contents(path: Path, file: Any) -> Contents:
     stack = len(array.shape) == 3
     stated = Stated(axes="yzx" if stack else "zx")
     description = page.description
+    mapped = isinstance(array, FileArray)
+    texts = {}
     if "<OME" in description[:2000]:
         stated = _ome(description, array.shape, str(path))
     elif file.is_imagej:
-        stated = _imagej(file.imagej_metadata or {}, page, stack, str(path))
-    mapped = isinstance(array, FileArray)
+        metadata = file.imagej_metadata or {}
+        stated = _imagej(metadata, page, stack, str(path))
+        array = _calibrated(metadata, array, str(path))
+        if length_unit(unit := str(metadata.get("vunit", ""))):
+            texts["units"] = unit
+    elif file.is_shaped:
+        stated = Stated(axes=_shaped(file, array.shape) or stated.axes)
     array = _without_nodata(path, page, array)
-    return Contents.single(array, stated, "mapped" if mapped else "streamed", file.close)
+    access: Access = "mapped" if mapped else "streamed"
+    return Contents.single(array, stated, access, file.close, texts=texts)
+
+
+def _shaped(file: Any, shape: tuple[int, ...]) -> str | None:
+    """Axes as tifffile's own description names them, where it does."""
+    described = file.shaped_metadata
+    axes = str(described[0].get("axes", "")) if described else ""
+    return axes.lower() if sorted(axes) in (["X", "Y", "Z"], ["X", "Z"], ["X", "Y"]) else None
+
+
+def _calibrated(metadata: dict[str, Any], array: Any, path: str) -> Any:
+    """Samples by ImageJ's calibration: a straight line, or none."""
+    function = metadata.get("cf", _UNCALIBRATED)
+    if function == _UNCALIBRATED:
+        return array
+    line = [metadata.get(name) for name in ("c0", "c1")]
+    if function != 0 or not all(isinstance(c, int | float) and np.isfinite(c) for c in line):
+        raise InputError(
+            f"{path}: ImageJ's calibration function {function} of its values is not supported; "
+            "save the values themselves (Image > Type > 32-bit)"
+        )
+    attrs = {"add_offset": float(line[0]), "scale_factor": float(line[1])}  # type: ignore[arg-type]
+    dims = [f"axis {number}" for number in range(len(array.shape))]
+    return Decoded(array, dims, attrs, where=path)
 
 
 def _without_nodata(path: Path, page: Any, array: Any) -> Any:
@@ -231,6 +270,13 @@ def _ome(description: str, shape: tuple[int, ...], path: str) -> Stated:
 
     if pixels.get("SizeC", "1") != "1":
         raise InputError(f"{path}: holds {pixels.get('SizeC')} channels, not one volume")
+    pages = str(shape[0]) if len(shape) == 3 else "1"
+    if sorted((pixels.get("SizeZ", "1"), pixels.get("SizeT", "1"))) != sorted(("1", pages)):
+        raise InputError(
+            f"{path}: OME-XML tells of {pixels.get('SizeZ')} planes along Z and "
+            f"{pixels.get('SizeT')} times, the file holds {pages} pages: not one volume, or not "
+            "all of it"
+        )
     if len(shape) == 2:
         return Stated(axes="zx", spacing=(step("Y"), step("X")))
     if pixels.get("SizeZ") == str(shape[0]) and shape[0] > 1:

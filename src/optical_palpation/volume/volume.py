@@ -270,8 +270,13 @@ def _described(path: Path, contents: Contents, name: str) -> Variable:
         stated = replace(stated, scale="dB")
         variable = replace(variable, stated=stated)
     named = sorted(axes) in (["x", "y", "z"], ["x", "z"])
-    if not named or stated.axes is not None or stated.spacing is not None:
-        return variable
+    if named and stated.axes is not None and stated.axes.lower() != axes:
+        raise InputError(
+            f"{path}, variable {name}: its axes are said to be {stated.axes}, but its dimensions "
+            f"are ({', '.join(variable.dims)})"
+        )
+    if not named or stated.spacing is not None:
+        return replace(variable, stated=replace(stated, axes=axes)) if named else variable
     spacing: list[float | None] = []
     origin = []
     for axis, n in zip(axes, variable.shape, strict=True):

@@ -1,0 +1,207 @@
+"""Volumes by the conventions of other programs: read rightly, or refused."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+import xarray as xr
+from PIL import Image
+
+from optical_palpation.errors import InputError
+from optical_palpation.volume import open_volume
+from volume_samples import GIVEN, SPACING, WRITERS, volume
+
+V = volume()
+PAGES = V.transpose(1, 0, 2)
+LINEAR = {"scale": "linear"}
+HOLED = np.where(V[3, 2, 1] == V, np.nan, V)
+
+
+def read(path, **options):
+    with open_volume(path, **options) as found:
+        whole = found.to_xarray().values
+        np.testing.assert_array_equal(np.stack(list(found), 1), whole)
+        return whole
+
+
+def right(path, values=V, **options):
+    np.testing.assert_allclose(read(path, **options), values, rtol=1e-6)
+
+
+def refused(path, says, **options):
+    with pytest.raises(InputError, match=says):
+        read(path, **options)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize(
+    "encoding", [{}, {"_FillValue": 7.5}, {"dtype": "i2", "scale_factor": 0.5, "_FillValue": 32767}]
+)
+def test_zarr_of_xarray(tmp_path, version, encoding):
+    coords = {
+        axis: (axis, 1e3 * SPACING[axis] * np.arange(n), {"units": "µm"})
+        for axis, n in zip("zyx", V.shape, strict=True)
+    }
+    xr.Dataset({"oct": (tuple("zyx"), HOLED)}, coords).to_zarr(
+        tmp_path / "a.zarr",
+        zarr_format=version,
+        encoding={"oct": encoding},
+        consolidated=False,
+    )
+    right(tmp_path / "a.zarr", HOLED, **LINEAR)
+
+
+def test_axes_that_contradict_the_dimensions(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["oct"] = V
+        file["oct"].attrs.update(axes="zyx", spacing_mm=list(SPACING.values()))
+        for axis, name in enumerate("yzx"):
+            file["oct"].dims[axis].label = name
+    refused(tmp_path / "a.h5", "axes are said to be zyx", **LINEAR)
+
+
+def test_dimensions_go_with_spacing_by_an_attribute(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["oct"] = PAGES
+        file["oct"].attrs["spacing_mm"] = [SPACING[axis] for axis in "yzx"]
+        for axis, name in enumerate("yzx"):
+            file["oct"].dims[axis].label = name
+    right(tmp_path / "a.h5", **LINEAR)
+
+
+def test_octave_stores_columns_first(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["oct/value"] = V.T
+        file["oct"].attrs["OCTAVE_NEW_FORMAT"] = np.uint8(1)
+    right(tmp_path / "a.h5", variable="oct", axes="zyx", **GIVEN)
+
+
+@pytest.mark.parametrize(
+    ("stored", "meta", "values"),
+    [
+        ((PAGES + 32768).astype("u2"), {"cf": 0, "c0": -32768.0, "c1": 1.0}, V),
+        (PAGES.astype("u1"), {"cf": 0, "c0": -10.0, "c1": 0.5}, 0.5 * V - 10),
+        (PAGES.astype("u1"), {"cf": 20}, V),
+    ],
+)
+def test_calibrated_values_of_imagej(tmp_path, stored, meta, values):
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, stored, imagej=True, metadata={"axes": "ZYX", **meta})
+    right(path, values, **GIVEN)
+
+
+@pytest.mark.parametrize("axes", ["ZYX", "YZX", "XZY"])
+def test_axes_as_tifffile_names_them(tmp_path, axes):
+    order = ["ZYX".index(axis) for axis in axes]
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, V.transpose(order), photometric="minisblack", metadata={"axes": axes})
+    right(path, **GIVEN)
+
+
+def test_an_orientation_of_a_later_page(tmp_path):
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for n, page in enumerate(PAGES):
+            tag = [(274, "H", 1, 3 if n == 2 else 1)]
+            file.write(page, extratags=tag, contiguous=False, metadata=None)
+    refused(tmp_path / "a.tif", "orientation tag says 3", **GIVEN)
+
+
+def test_ome_volumes_in_a_series_and_parts_of_one(tmp_path):
+    series = tmp_path / "a.ome.tif"
+    two = np.stack([V, V + 1])
+    tifffile.imwrite(series, two, photometric="minisblack", metadata={"axes": "TZYX"})
+    refused(series, "7 planes along Z and 2 times, the file holds 14 pages", **GIVEN)
+    with tifffile.TiffFile(series) as file:
+        described = file.ome_metadata
+    part = tmp_path / "part.tif"
+    tifffile.imwrite(part, V[:4], photometric="minisblack", description=described, metadata=None)
+    refused(part, "the file holds 4 pages", **GIVEN)
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        (["y_-1.png", "y_0.png", "y_1.png"], "not named alike"),
+        (["y_0.5.png", "y_0.75.png", "y_1.0.png"], "decimals in names"),
+        (["y_0.75.png", "y_1.png", "y_1.25.png"], "not named alike"),
+        (["b1.png", "b2.png", "mean.png"], "not named alike"),
+        (["b1.png", "b1.bmp", "b2.png"], "not named alike"),
+        (["b1.png", "b2.gif", "b3.png"], "this format is not read"),
+        (["b1.png", "b2.png", "b3.png"], None),
+        (["a.png", "b.png", "c.png"], None),
+        (["2024-01-01_1.png", "2024-01-01_2.png", "2024-01-02_10.png"], None),
+    ],
+)
+def test_names_of_images(tmp_path, names, says):
+    for name, page in zip(names, PAGES, strict=False):
+        Image.fromarray(page.astype("u1")).save(tmp_path / name)
+    if says:
+        refused(tmp_path, says, **GIVEN)
+    else:
+        right(tmp_path, V[:, :3], **GIVEN)
+
+
+def test_a_nifti_file_of_two_voxel_sizes(tmp_path):
+    path, options = WRITERS["nifti"](tmp_path, V)
+    right(path, **options)
+    content = bytearray(path.read_bytes())
+    content[80:92] = np.ones(3, "<f4").tobytes()  # pixdim
+    path.write_bytes(content)
+    refused(path, "header says voxels of", **options)
+
+
+def dicom(folder, change):
+    import pydicom
+
+    path, _ = WRITERS["dicom"](folder, V)
+    image = pydicom.dcmread(path)
+    change(image, pydicom.Dataset)
+    image.save_as(path, enforce_file_format=True)
+    return path
+
+
+def test_dicom_of_floating_point_numbers(tmp_path):
+    def change(image, _):
+        del image.PixelData, image.BitsStored, image.HighBit, image.PixelRepresentation
+        image.BitsAllocated = 32
+        image.FloatPixelData = (PAGES + 0.25).astype("<f4").tobytes()
+
+    right(dicom(tmp_path, change), V + 0.25, **LINEAR)
+
+
+@pytest.mark.parametrize(
+    ("at", "says"),
+    [
+        ([0, 1, 2, 3, 4], None),
+        ([0, 2, 1, 3, 4], "order of their positions"),
+        ([0, 1, 2, 4, 5], "evenly spaced"),
+        ([0, 2, 4, 6, 8], "0.04 mm apart, SpacingBetweenSlices says 0.02"),
+    ],
+)
+def test_dicom_frames_by_their_positions(tmp_path, at, says):
+    def change(image, dataset):
+        image.PerFrameFunctionalGroupsSequence = []
+        for number in at:
+            plane, frame = dataset(), dataset()
+            plane.ImagePositionPatient = [0, SPACING["y"] * number, 0]
+            frame.PlanePositionSequence = [plane]
+            image.PerFrameFunctionalGroupsSequence.append(frame)
+
+    path = dicom(tmp_path, change)
+    if says:
+        refused(path, says, **LINEAR)
+    else:
+        right(path, **LINEAR)
+
+
+def test_raw_samples_with_two_sidecars(tmp_path):
+    path, _ = WRITERS["raw_json"](tmp_path, V)
+    right(path)
+    text = (tmp_path / "scan.bin.json").read_text()
+    (tmp_path / "scan.bin.json").write_text("\ufeff" + text)
+    right(path)
+    entries = json.loads(text)
+    (tmp_path / "scan.bin.toml").write_text(f"dtype = '{entries['dtype']}'\n")
+    refused(path, "has two sidecars")
