@@ -8,6 +8,7 @@ and does not say which line was wrong.
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,13 +20,21 @@ from ..errors import InputError
 from .arrays import LazyArray
 from .contents import Contents
 from .metadata import Stated
+from .units import length_unit, split_unit
 
 FORMAT = "text"
 
 #: Most values of a map: 4096 x 4096 pixels. What states more is damaged, or meant to fill memory.
 MAX_VALUES = 2**24
+# So few columns, so many times as many lines: points or a profile.
+_FEW, _LONG = 4, 10
 _MAX_LINE = 2**18  # characters: a row of 8192 numbers with all their digits
 _MISSING = {"", "NA", "N/A", "NAN", "-NAN"}
+_MAX_REMARKS = 10_000
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+# What Octave, and NumPy's users after its manual, write above each of several arrays.
+_ONE_ARRAY = re.compile(r"\s*(?:name:|new slice)", re.IGNORECASE)
+_UNIT = re.compile(r"\b(?:length[ _]?)?units?\s*[:=]\s*([^\s,;]+)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -34,28 +43,40 @@ class Line:
 
     number: int
     cells: list[str]
+    after_blank: bool = False
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Any file without a zero byte."""
-    return bool(head) and b"\0" not in head
+    """Any file without a zero byte, or one that begins with the mark of UTF-16."""
+    return bool(head) and (b"\0" not in head or head.startswith(_UTF_16))
 
 
 def contents(path: Path, wanted: str | None) -> Contents:
     """Read the table."""
-    return Contents.single(LazyArray(read_table(path)), Stated(), "loaded")
+    table, unit = read_table(path)
+    return Contents.single(
+        LazyArray(table), Stated(), "loaded", texts={"units": unit} if unit else {}
+    )
 
 
-def read_table(path: Path) -> NDArray[np.float64]:
+def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
     """Read a table with one line per row of pixels, NaN where a cell is empty.
+
+    Returns
+    -------
+    numpy.ndarray
+        The numbers.
+    str or None
+        The unit that a comment (``units: um``) or the names of the columns state.
 
     Raises
     ------
     InputError
-        If the file is no UTF-8 text or no table of numbers, naming line and column; or if a first
-        line, first column or empty last column may be something else than pixels.
+        If the file is no text or no table of numbers, naming line and column; or if a first line,
+        first column or empty last column may be something else than pixels.
     """
-    lines = split_lines(path)
+    remarks: list[str] = []
+    lines = split_lines(path, remarks=remarks)
     first = next(lines, None)
     if first is None:
         raise InputError(f"{path} holds no numbers, only blank lines or comments")
@@ -67,9 +88,15 @@ def read_table(path: Path) -> NDArray[np.float64]:
         if first is None:
             raise InputError(f"{path} holds a header line but no numbers")
     columns = len(first.cells)
-    rows, unfinished = [], True  # whether every line ends with an empty cell
+    rows: list[NDArray[np.float64]] = []
+    unfinished = True  # whether every line ends with an empty cell
+    blocks = [0]  # lines of each part between blank lines
+    german = columns > 1 and columns % 2 == 0  # 0,5 for 0.5, between commas
     while first is not None:
         line, first = first, next(lines, None)
+        blocks += [0] if line.after_blank and rows else []
+        blocks[-1] += 1
+        german = german and all(cell.isdecimal() for cell in line.cells)
         if len(line.cells) != columns:
             raise InputError(
                 f"{path}, line {line.number}: {len(line.cells)} columns where the lines before "
@@ -82,6 +109,9 @@ def read_table(path: Path) -> NDArray[np.float64]:
                 f"{path}, line {line.number}: more than {MAX_VALUES} numbers, too many for a map"
             )
     table = np.stack(rows)
+    _refuse_several(path, remarks, blocks)
+    if german:
+        _refuse_decimal_commas(path, table)
     if unfinished and columns > 1:
         if header is None:
             raise InputError(
@@ -91,18 +121,52 @@ def read_table(path: Path) -> NDArray[np.float64]:
         if len(header.cells) == columns - 1 or not header.cells[-1]:
             table = table[:, :-1]  # no column of that name: the separator ends the line
             header = Line(header.number, header.cells[: columns - 1])
-    return _without_labels(path, header, table)
+    return _without_labels(path, header, table), _stated_unit(path, remarks, header)
 
 
-def split_lines(path: Path, comments: str = "#%") -> Iterator[Line]:
+def _refuse_several(path: Path, remarks: list[str], blocks: list[int]) -> None:
+    titles = sum(1 for remark in remarks if _ONE_ARRAY.match(remark))
+    if titles > 1 or (len(blocks) > 1 and min(blocks) > 1):
+        raise InputError(
+            f"{path}: holds {max(titles, len(blocks))} tables one below the other; save the map in "
+            "a file of its own"
+        )
+
+
+def _refuse_decimal_commas(path: Path, table: NDArray[np.float64]) -> None:
+    """Refuse whole numbers of which every second column holds one digit, the others more."""
+    if table[:, 1::2].max() < 10 <= table[:, ::2].min():
+        raise InputError(
+            f"{path}: every second column holds single digits: are these decimal commas, between "
+            "commas? Write decimal points"
+        )
+
+
+def _stated_unit(path: Path, remarks: list[str], header: Line | None) -> str | None:
+    """Unit that comments or the names of the columns state; those of numbers are of positions."""
+    stated = {match[1] for remark in remarks if (match := _UNIT.search(remark))}
+    for cell in header.cells if header else ():
+        name, unit = split_unit(cell)
+        unit = unit or length_unit(cell)
+        if unit and _number(name) is None:
+            stated.add(unit)
+    if len({length_unit(unit) or unit for unit in stated}) > 1:
+        raise InputError(f"{path}: states several units: {', '.join(sorted(stated))}")
+    return next(iter(stated), None)
+
+
+def split_lines(
+    path: Path, comments: str = "#%", remarks: list[str] | None = None
+) -> Iterator[Line]:
     """Yield the lines of a table, without comments and blank lines, split into stripped cells.
 
     Cells are separated by tabs, semicolons, commas or spaces, whichever of these the first line
-    has, in this order of preference; quotes around cells are taken off.
+    has, in this order of preference; quotes around cells are taken off. Comments are added to
+    `remarks`.
     """
     delimiter: str | None = None
     first = True
-    for number, line in _lines(path, comments):
+    for number, line, after_blank in _lines(path, comments, remarks):
         if first:
             delimiter, first = next((mark for mark in "\t;," if mark in line), None), False
         if delimiter is None:
@@ -111,7 +175,7 @@ def split_lines(path: Path, comments: str = "#%") -> Iterator[Line]:
             cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
         else:
             cells = line.split(delimiter)
-        yield Line(number, [cell.strip() for cell in cells])
+        yield Line(number, [cell.strip() for cell in cells], after_blank)
 
 
 @dataclass(frozen=True)
@@ -219,6 +283,7 @@ def _without_labels(
             raise InputError(
                 f"{path}: the first column, {header.cells[0]!r}, counts the lines; remove it"
             )
+        _refuse_points_or_profile(path, table)
         return table
     if rows > 2 and columns > 2:
         if corner_empty and _counts(first_row[1:]) and _counts(first_column[1:]):
@@ -248,7 +313,7 @@ def _without_labels(
                     f"coordinates. Remove them, or write a line of names above the map if they are "
                     "thickness"
                 )
-    _refuse_grid_of_points(path, table)
+    _refuse_points_or_profile(path, table)
     return table
 
 
@@ -272,9 +337,14 @@ def _steady(values: NDArray[np.float64]) -> bool:
     return bool(values.size > 1 and (np.all(steps > 0.0) or np.all(steps < 0.0)))
 
 
-def _refuse_grid_of_points(path: Path, table: NDArray[np.float64]) -> None:
-    """Refuse three columns of which two run through the points of a grid."""
+def _refuse_points_or_profile(path: Path, table: NDArray[np.float64]) -> None:
+    """Refuse few long columns, and three of which two run through the points of a grid."""
     rows, columns = table.shape
+    if columns <= _FEW and rows >= _LONG * columns:
+        raise InputError(
+            f"{path}: {rows} lines of {columns} numbers: this looks like a list of points or a "
+            "profile; a map needs one line per row of pixels. Save it as .npy if it is a map"
+        )
     if columns == 3 and rows >= 4:
         for one, other in ((0, 1), (1, 0)):
             positions = np.unique(table[:, one])
@@ -298,18 +368,21 @@ def _row(path: Path, line: Line) -> NDArray[np.float64]:
     values = [_number(cell) for cell in line.cells]
     if None in values:
         column = values.index(None)
+        decimal_comma = re.fullmatch(r"[-+]?[0-9.]*,[0-9]+", line.cells[column])
         raise InputError(
             f"{path}, line {line.number}, column {column + 1}: {line.cells[column][:40]!r} is no "
-            "number"
+            "number" + ("; write decimal points, no commas" if decimal_comma else "")
         )
     return np.array(values, dtype=np.float64)
 
 
-def _lines(path: Path, comments: str) -> Iterator[tuple[int, str]]:
-    """Lines that hold more than a comment, with their numbers."""
+def _lines(path: Path, comments: str, remarks: list[str] | None) -> Iterator[tuple[int, str, bool]]:
+    """Lines that hold more than a comment, their numbers, and whether blank ones are above."""
     try:
-        with path.open(encoding="utf-8-sig") as file:
-            number = 0
+        with path.open("rb") as raw_file:
+            wide = raw_file.read(2) in _UTF_16
+        with path.open(encoding="utf-16" if wide else "utf-8-sig") as file:
+            number, after_blank = 0, False
             while raw := file.readline(_MAX_LINE):
                 number += 1
                 if len(raw) == _MAX_LINE:
@@ -318,14 +391,22 @@ def _lines(path: Path, comments: str) -> Iterator[tuple[int, str]]:
                         "of a table is"
                     )
                 line = raw.rstrip("\r\n")
+                blank = not line.strip()
                 for mark in comments:
-                    line = line.split(mark)[0]
+                    line, _, remark = line.partition(mark)
+                    if remark and remarks is not None and len(remarks) < _MAX_REMARKS:
+                        remarks.append(remark)
                 if line.strip():
-                    yield number, line
+                    yield number, line, after_blank
+                    after_blank = False
+                after_blank |= blank
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error})") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is neither UTF-8 text nor in another known format") from error
+        raise InputError(
+            f"{path} is neither text in UTF-8 nor in another known format; if it is a table, save "
+            "it as text in UTF-8"
+        ) from error
 
 
 def _number(cell: str) -> float | None:
