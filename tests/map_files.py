@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 import scipy.io
+import scipy.sparse
 import tifffile
 import xarray as xr
 
@@ -563,7 +564,7 @@ for name, content, answer in (
         "0.4,NA,0.42\nnan,0.44,N/A\n",
         Read(np.array([[0.4, np.nan, 0.42], [np.nan, 0.44, np.nan]])),
     ),
-    ("decimal commas", rows(";").replace(".", ","), Refused("is no number")),
+    ("decimal commas", rows(";").replace(".", ","), Refused("write decimal points")),
     ("decimal commas and commas", rows().replace(".", ","), Refused("zero or negative|columns")),
     ("999 for missing", rows(values=np.where(HOLE, 999, MAP)), Refused("mark of missing")),
     ("-- for missing", rows().replace(f"{MAP[1, 1]:.17g}", "--"), Refused("'--' is no number")),
@@ -583,7 +584,9 @@ for name, content, answer in (
     ("list of points", points, Refused("list of points")),
     ("title", "thickness of the layer\n" + rows(), Refused("header has 1 columns|no number")),
     ("ESRI grid", "ncols 5\nnrows 4\n" + rows(" "), Refused("'ncols' is no number")),
-    ("UTF-16", rows().encode("utf-16"), Refused("format|UTF-8")),
+    ("UTF-16", rows().encode("utf-16"), Read(MAP)),
+    ("UTF-16 with tabs", rows("\t").encode("utf-16"), Read(MAP)),
+    ("latin-1", ("# µm\n" + rows()).encode("latin-1"), Refused("as text in UTF-8")),
     ("two numbers with units", "0.4 mm,0.5 mm\n0.4 mm,0.5 mm\n", Refused("no numbers|no number")),
 ):
     add(f"text {name}", text(content), answer)
@@ -720,3 +723,280 @@ for fmt, write in NETCDF.items():
     parts = {"L0": (("y", "x"), MAP + 0.1, {}), "L1": (("y", "x"), MAP, {})}
     add(f"{fmt} two maps", stored(write, parts), Refused("more than one array"))
     add(f"{fmt} named map of two", stored(write, parts), Read(MAP), variable="L1", **FIELD)
+
+# --- conventions of other programs --------------------------------------------------------------
+
+for fmt, write in NETCDF.items():
+    for pair in ("width height", "lon lat", "x_position y_position", "x1 y1", "xs ys"):
+        dims = tuple(pair.split())
+        add(f"{fmt} ({pair})", stored(write, named("L1", SQUARE.T, dims)), Read(SQUARE))
+    add(
+        f"{fmt} standard names of the axes",
+        stored(
+            write,
+            {
+                "L1": (("e", "n"), SQUARE.T, {}),
+                "e": (("e",), X[:4], {"standard_name": "projection_x_coordinate"}),
+                "n": (("n",), Y, {"standard_name": "projection_y_coordinate"}),
+            },
+        ),
+        Read(SQUARE, X[:4], Y),
+        variable="L1",
+    )
+    marks = np.where(HOLE, [-1.0, -2.0, -1.0, -2.0, -1.0], MAP)
+    add(
+        f"{fmt} several missing values",
+        stored(write, named("L1", marks, missing_value=[-1.0, -2.0])),
+        Read(HOLED),
+    )
+
+
+def coordinates_above(file: h5py.File) -> None:
+    """As netCDF's groups have them: dimensions of the file, the map in a group."""
+    for name, at in (("x", X), ("y", Y[::-1])):
+        file[name] = at
+        file[name].make_scale(name)
+    file["scan/L1"] = MAP[::-1]
+    for axis, name in enumerate("yx"):
+        file["scan/L1"].dims[axis].attach_scale(file[name])
+
+
+add("h5 coordinates above", hdf5(coordinates_above), Read(MAP, X, Y), variable="scan/L1")
+
+
+def unit_of_group(file: h5py.File) -> None:
+    file["scan/L1"] = 1e3 * MAP
+    file["scan"].attrs["units"] = "um"
+
+
+def unit_beside(where: str, text: Any) -> Callable[[h5py.File], None]:
+    def build(file: h5py.File) -> None:
+        file[f"{where}L1"] = 1e3 * MAP
+        file[f"{where}units"] = text
+
+    return build
+
+
+add("h5 unit of the group", hdf5(unit_of_group), Read(MAP))
+add("h5 text units beside", hdf5(unit_beside("", "um")), Read(MAP))
+add("h5 text units beside in a group", hdf5(unit_beside("scan/", "um")), Read(MAP))
+add("h5 units that are a number", hdf5(unit_beside("", 1e-3)), Refused("units may state the unit"))
+
+
+def labelled_without_mask(file: h5py.File) -> None:
+    file["L1"], file["filled"] = SQUARE.T, HOLE[:, :4].T.astype(float)
+    for axis, name in enumerate("xy"):
+        file["L1"].dims[axis].label = name
+
+
+add(
+    "h5 mask without labels lies as the map",
+    hdf5(labelled_without_mask),
+    Read(np.where(HOLE[:, :4], np.nan, SQUARE)),
+)
+
+
+def with_axes(file: h5py.File) -> None:
+    file["L1"] = SQUARE.T
+    file["L1"].attrs.update(axes="xy", spacing_mm=[0.02, 0.03])
+
+
+def against_axes(file: h5py.File) -> None:
+    with_axes(file)
+    file["L1"].dims[0].label = "y"
+
+
+FRAME = 0.02 * np.arange(4), 0.03 * np.arange(4)
+add("h5 axes by an attribute", hdf5(with_axes), Read(SQUARE, *FRAME), variable=None)
+add("h5 axes against labels", hdf5(against_axes), Refused("axes are said to be xy"))
+
+
+def of_octave(file: h5py.File) -> None:
+    file["L1/value"] = SQUARE.T
+    file["L1"].attrs["OCTAVE_NEW_FORMAT"] = np.uint8(1)
+
+
+def of_matlab(file: h5py.File) -> None:
+    file["L1"] = SQUARE.T
+    file["L1"].attrs["MATLAB_class"] = np.bytes_("double")
+
+
+add("h5 of Octave", hdf5(of_octave), Read(SQUARE), variable="L1", **FIELD)
+add("h5 of MATLAB without its head", hdf5(of_matlab), Read(SQUARE))
+for mask in ("L1_mask", "nanMask", "is_filled", "interpolated", "outliers", "qc", "status"):
+    parts = {"L1": ((), MAP, {}), mask: ((), HOLE.astype("u1"), {})}
+    add(f"npz mask {mask}", stored(npz, parts), Refused("does not say what it marks"))
+parts = {"L1": ((), MAP, {}), "anything": ((), HOLE, {})}
+add("npz flags of any name", stored(npz, parts), Refused("does not say what it marks"))
+parts = {
+    "initial_thickness": ((), MAP, {}),
+    "initial_filled": ((), HOLE, {}),
+    "filled": ((), ~HOLE, {}),
+}
+add("npz mask of the initial thickness", stored(npz, parts), Read(HOLED))
+parts = {"L1": ((), 1e3 * MAP, {}), "units": ((), ["um", "mm"], {})}
+add("npz two units", stored(npz, parts), Refused("units may state the unit"))
+for name in ("L1um", "thicknessUm", "L1 [um]"):
+    add(f"npz {name}", stored(npz, {name: ((), 1e3 * MAP, {})}), Read(MAP))
+parts = {"L1": ((), SQUARE.T, {}), "axes": ((), "xy", {}), "spacing_mm": ((), [0.02, 0.03], {})}
+for fmt, write in (("mat5", matlab5), ("npz", npz)):
+    add(f"{fmt} axes = xy", stored(write, parts), Read(SQUARE, *FRAME), variable=None)
+cell = np.empty((1, 1), object)
+cell[0, 0] = "um"
+for what, value in (("cell", cell), ("struct", {"L1": "um"}), ("number", 1e-3)):
+    parts = {"L1": ((), 1e3 * MAP, {}), "units": ((), value, {})}
+    add(f"mat5 units in a {what}", stored(matlab5, parts), Refused("units may state the unit"))
+parts = {"L1": ((), MAP, {}), "filled": ((), scipy.sparse.csc_matrix(HOLE.astype(float)), {})}
+add("mat5 sparse mask", stored(matlab5, parts), Refused("it is no array of numbers"))
+parts = {"s/L1": ((), 1e3 * MAP, {}), "s/units": ((), "um", {})}
+add("mat73 unit in the structure", stored(matlab73, parts), Read(MAP))
+
+
+def of_xarray(version: int, values: np.ndarray, **encoding: Any) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        maps = xr.Dataset({"L1": (("x", "y"), values.T)}, {"x": X, "y": Y[::-1]})
+        maps.to_zarr(
+            folder / "map.zarr",
+            zarr_format=version,  # type: ignore[arg-type]
+            encoding={"L1": encoding},
+            consolidated=False,
+        )
+        return folder / "map.zarr"
+
+    return make
+
+
+def zarr_unit_of_group(folder: Path) -> Path:
+    import zarr
+
+    group = zarr.open_group(str(folder / "map.zarr"), mode="w")
+    array = group.create_array("L1", shape=MAP.shape, dtype="f8")
+    array[:] = 1e3 * MAP
+    group.attrs["units"] = "um"
+    return folder / "map.zarr"
+
+
+for version in (2, 3):
+    for what, encoding in {
+        "NaN": {},
+        "a fill value": {"_FillValue": 0.77},
+        "packed values": {"dtype": "i2", "_FillValue": 32767, **PACKED},
+    }.items():
+        add(
+            f"zarr {version} of xarray with {what}",
+            of_xarray(version, HOLED, **encoding),
+            Read(np.round(HOLED, 4)[::-1], X, Y),
+            variable="L1",
+        )
+add("zarr unit of the group", zarr_unit_of_group, Read(MAP))
+
+rng = np.random.default_rng(3)
+grid = np.stack([*np.meshgrid(X + 0.1, np.linspace(1, 2, 12)), 0.4 + rng.random((12, 5))], -1)
+listed = grid.reshape(-1, 3)
+for what, table in {
+    "with holes": listed[rng.random(60) > 0.1],
+    "in any order": rng.permutation(listed),
+    "thickness first": listed[:, [2, 0, 1]],
+    "with their quality": np.c_[listed, rng.random(60) + 0.1],
+    "scattered": rng.random((60, 3)) + 0.1,
+    "of a profile": np.c_[0.1 + 0.01 * np.arange(60), 0.4 + rng.random(60)],
+}.items():
+    add(f"text points {what}", text(rows(values=table)), Refused("list of points or a profile"))
+octave = "# name: L0\n# rows: 4\n{}\n\n# name: L1\n# rows: 4\n{}".format(rows(" "), rows(" "))
+um = 1e3 * MAP
+for what, content, answer in (
+    ("of Octave, two arrays", octave, Refused("2 tables")),
+    ("of Octave", octave[: octave.index("\n\n")], Read(MAP)),
+    ("in slices", "# New slice\n".join([rows(), rows(), ""]), Refused("2 tables")),
+    ("in two parts", rows() + "\n\n" + rows(), Refused("2 tables")),
+    ("um by a comment", "# units: um\n" + rows(values=um), Read(MAP)),
+    ("unknown unit by a comment", "# unit = px\n" + rows(values=um), Refused("'px'; known units")),
+    ("um by names", "a_um,b_um,c_um,d_um,e_um\n" + rows(values=um), Read(MAP)),
+    ("um by a header", ",".join(5 * ["um"]) + "\n" + rows(values=um), Read(MAP)),
+    ("two units", "# unit: um\na_mm,b,c,d,e\n" + rows(), Refused("several units: mm, um")),
+    (
+        "coordinates in mm as names",
+        ",".join(f"{x + 0.1:g} mm" for x in X) + "\n" + rows(),
+        Read(MAP),
+    ),
+    (
+        "decimal commas of um between commas",
+        "".join(",".join(f"{v:.1f}".replace(".", ",") for v in row) + "\n" for row in um + 0.1),
+        Refused("decimal commas"),
+    ),
+):
+    add(f"text {what}", text(content), answer)
+
+CALIBRATED = {"cf": 0, "c0": 0.1, "c1": 0.5}
+for what, meta, answer in (
+    ("calibration", CALIBRATED, Read(0.1 + 0.5 * MAP)),
+    ("calibration in um", {"cf": 0, "c0": 0.0, "c1": 1e3, "vunit": "um"}, Read(MAP)),
+    ("no calibration", {"cf": 20}, Read(MAP)),
+    ("a curved calibration", {"cf": 1, "c0": 0.1, "c1": 0.5, "c2": 1.0}, Refused("function 1")),
+):
+    given = {"unit": "pixel", **meta}
+    values = MAP.astype("f4")
+    add(f"tiff {what} of ImageJ", tiff(values, imagej=True, metadata=given), answer)
+add("tiff axes by tifffile", tiff(SQUARE.T, metadata={"axes": "XY"}), Read(SQUARE))
+
+
+def nifti_turned(folder: Path) -> Path:
+    import nibabel
+
+    turned = np.diag([0.02, 0.03, 1.0, 1.0])[[1, 0, 2, 3]]
+    nibabel.save(nibabel.Nifti1Image(SQUARE, turned), folder / "map.nii")
+    return folder / "map.nii"
+
+
+def nifti_of_two_sizes(folder: Path) -> Path:
+    path = nifti(folder)
+    content = bytearray(path.read_bytes())
+    content[80:88] = np.ones(2, "<f4").tobytes()  # pixdim
+    path.write_bytes(content)
+    return path
+
+
+add("nifti turned by its transform", nifti_turned, Refused("swaps x and y"))
+add("nifti of two pixel sizes", nifti_of_two_sizes, Refused("header says voxels of"))
+
+
+def dicom_of_floats(folder: Path) -> Path:
+    from pydicom.dataset import FileDataset, FileMetaDataset
+
+    meta = FileMetaDataset()
+    meta.MediaStorageSOPClassUID = "1.2.840.10008.5.1.4.1.1.30"
+    meta.MediaStorageSOPInstanceUID = "1.2.3"
+    meta.TransferSyntaxUID = "1.2.840.10008.1.2.1"
+    image = FileDataset(None, {}, file_meta=meta, preamble=b"\0" * 128)
+    image.Rows, image.Columns = MAP.shape
+    image.SamplesPerPixel, image.PhotometricInterpretation = 1, "MONOCHROME2"
+    image.BitsAllocated, image.PixelSpacing = 32, [0.03, 0.02]
+    image.FloatPixelData = MAP.astype("<f4").tobytes()
+    image.save_as(folder / "map.dcm", enforce_file_format=True)
+    return folder / "map.dcm"
+
+
+add(
+    "dicom of floats",
+    dicom_of_floats,
+    Read(MAP, 0.02 * np.arange(5), 0.03 * np.arange(4)),
+    variable=None,
+)
+
+
+def raw_turned(folder: Path) -> Path:
+    (folder / "map.raw").write_bytes(SQUARE.T.astype(">f8").tobytes())
+    (folder / "map.raw.json").write_text(
+        '{"dtype": "float64", "shape": [4, 4], "byte_order": "big", "axes": "xy", '
+        '"spacing_mm": [0.02, 0.03]}'
+    )
+    return folder / "map.raw"
+
+
+def raw_of_two_sidecars(folder: Path) -> Path:
+    (folder / "map.raw.toml").write_text('dtype = "float64"\nshape = [4, 4]\n')
+    return raw_turned(folder)
+
+
+add("raw axes = xy", raw_turned, Read(SQUARE, *FRAME), variable=None)
+add("raw two sidecars", raw_of_two_sidecars, Refused("has two sidecars"))

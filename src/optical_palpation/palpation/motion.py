@@ -13,7 +13,8 @@ from optical_palpation.errors import InputError
 from optical_palpation.files import readable_name
 from optical_palpation.thickness.frames import layer_extent_of
 from optical_palpation.volume.contents import Contents, translated_errors
-from optical_palpation.volume.labels import labelled
+from optical_palpation.volume.labels import attributes_of, labelled
+from optical_palpation.volume.masks import apply_masks
 from optical_palpation.volume.opening import MAP_READERS, open_contents
 from optical_palpation.volume.units import MM, stated_unit
 
@@ -69,7 +70,7 @@ def _field(path: Path, contents: Contents, name: str) -> xr.DataArray:
     where = f"{path}, variable {name}"
     if variable.dtype.kind not in "fiu":
         raise InputError(f"{where} holds values of type {variable.dtype}, no lengths")
-    unit = stated_unit(name, variable.attrs, where) or "mm"
+    unit = stated_unit(name, attributes_of(path, contents, name), where) or "mm"
     found = labelled(path, contents, name)
     positions = {}
     for axis, at in found.positions.items():
@@ -80,6 +81,7 @@ def _field(path: Path, contents: Contents, name: str) -> xr.DataArray:
             )
         positions[axis] = (axis, at, {"units": "mm"})
     values = found.values.astype(np.float64) * MM[unit]
+    apply_masks(path, contents, name, values)
     return xr.DataArray(values, positions, ("y", "x"), attrs={"units": "mm"})
 
 

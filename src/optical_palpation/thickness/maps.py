@@ -24,10 +24,11 @@ from optical_palpation.thickness.frames import (
     thickness_map,
 )
 from optical_palpation.volume import zarr_store
-from optical_palpation.volume.contents import Contents, Variable, translated_errors
-from optical_palpation.volume.labels import axis_of, labelled, values_of
+from optical_palpation.volume.contents import Variable, translated_errors
+from optical_palpation.volume.labels import attributes_of, axis_of, labelled
+from optical_palpation.volume.masks import apply_masks, is_mask
 from optical_palpation.volume.opening import MAP_READERS, open_contents
-from optical_palpation.volume.units import MM, is_unit_key, stated_unit
+from optical_palpation.volume.units import MM, stated_unit
 
 
 @explained
@@ -163,14 +164,12 @@ def _read(
         name = _choose(contents.variables, variable, path)
         where = f"{path}, variable {name}" if name else str(path)
         array = contents.variables[name]
-        attrs = array.attrs
-        if not any(is_unit_key(key) for key in attrs):
-            attrs = {**attrs, **{k: v for k, v in contents.texts.items() if is_unit_key(k)}}
+        attrs = attributes_of(path, contents, name)
         unit = stated_unit(name, attrs, where, length_unit) or "mm"
         check_kind(array.shape, array.dtype, where)
         found = labelled(path, contents, name)
         values = found.values.astype(np.float64)
-        _apply_mask(path, contents, name, values)
+        apply_masks(path, contents, name, values)
         values = checked(values, where)
     coordinates = {axis: at for axis, at in found.positions.items() if at is not None}
     if path.is_file():
@@ -180,18 +179,20 @@ def _read(
         digest = {}
     source = {"source": readable_name(path), **digest}
     source |= {"source_variable": name, "source_length_unit": unit}
-    stated = _stated(array, values.shape, where)
+    stated = _stated(array, found.order, values.shape, where)
     return _Found(values * MM[unit], coordinates, stated, array.attrs, where, source)
 
 
-def _stated(array: Variable, shape: tuple[int, ...], where: str) -> dict[str, NDArray[np.float64]]:
+def _stated(
+    array: Variable, order: tuple[str, ...], shape: tuple[int, ...], where: str
+) -> dict[str, NDArray[np.float64]]:
     """Coordinates from the spacing that the format states, as ImageJ and NIfTI do, if it does."""
     steps, starts = array.stated.spacing, array.stated.origin or (0.0, 0.0)
     if steps is None or len(steps) != 2 or len(starts) != 2:
         return {}
-    x_first = axis_of("".join(array.dims[:1])) == "x"
     found = {}
-    for axis, n, at in (("y", shape[0], int(x_first)), ("x", shape[1], int(not x_first))):
+    for axis, n in zip("yx", shape, strict=True):
+        at = order.index(axis)
         step = steps[at]
         if step is None:
             return {}
@@ -211,64 +212,6 @@ def _check_spacing(map_: xr.DataArray, found: _Found) -> None:
                 f"is given makes it {actual:g} mm (the field of view is the distance between the "
                 "centres of the first and the last pixel)"
             )
-
-
-_FILLED = "filled"
-#: Masks whose names do not say which of their values means missing.
-_OTHER_MASKS = {
-    "mask",
-    "masked",
-    "valid",
-    "invalid",
-    "missing",
-    "measured",
-    "nodata",
-    "bad",
-    "good",
-}
-
-
-def _apply_mask(path: Path, contents: Contents, name: str, values: NDArray[np.float64]) -> None:
-    """Set what a variable ``filled`` beside the map marks to NaN; refuse masks of other names."""
-    group = name.rpartition("/")[0]
-    for other, variable in contents.variables.items():
-        stem = other.rpartition("/")[2].lower()
-        if other == name or other.rpartition("/")[0] != group:
-            continue
-        where = f"{path}, variable {other}"
-        if stem == _FILLED:
-            values[_flags(path, contents, other, values.shape, where)] = np.nan
-        elif stem in _OTHER_MASKS and variable.shape in (values.shape, values.shape[::-1]):
-            if variable.dtype.kind not in "biuf":
-                continue
-            mask = values_of(path, other, variable)
-            if mask.any() and not mask.all():
-                raise InputError(
-                    f"{where} looks like a mask of the map, but its name does not say what it "
-                    f"marks: call it {_FILLED}, nonzero where a pixel is missing, or write NaN "
-                    "into the map and leave it out"
-                )
-
-
-def _flags(
-    path: Path, contents: Contents, name: str, shape: tuple[int, ...], where: str
-) -> NDArray[np.bool_]:
-    variable = contents.variables[name]
-    if variable.dtype.kind not in "biuf" or len(variable.shape) != 2:
-        raise InputError(
-            f"{where} should mark pixels that are missing by 1 or true, but its shape is "
-            f"{variable.shape} and its type {variable.dtype}"
-        )
-    flags = labelled(path, contents, name).values
-    if flags.shape != shape:
-        raise InputError(
-            f"{where} marks {flags.shape[0]} x {flags.shape[1]} pixels (y, x), the map has "
-            f"{shape[0]} x {shape[1]}"
-            + ("; is it transposed?" if flags.shape == shape[::-1] else "")
-        )
-    if not np.isin(flags, (0, 1)).all():
-        raise InputError(f"{where} should hold 0 and 1, nonzero where a pixel is missing")
-    return flags.astype(bool)
 
 
 def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.PathLike[str]) -> None:
@@ -315,7 +258,7 @@ def _choose(variables: Mapping[str, Variable], wanted: str | None, path: Path) -
         and array.dtype.kind == "f"
         and min(array.shape) > 1
         and axis_of(name) not in ("x", "y")
-        and name.rpartition("/")[2].lower() not in _OTHER_MASKS | {_FILLED}
+        and not is_mask(name)
     ]
     if "thickness" in fitting:
         return "thickness"

@@ -7,6 +7,7 @@ What it leaves alone is done here, after the NetCDF User Guide: ``valid_range``,
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -73,7 +74,9 @@ class Decoded:
         import xarray as xr
 
         raw = xr.Variable(self._dims, values, self._attrs)
-        return xr.conventions.decode_cf_variable("values", raw, decode_times=False)
+        with warnings.catch_warnings():  # xarray's, where several values stand for missing ones
+            warnings.simplefilter("ignore", xr.SerializationWarning)
+            return xr.conventions.decode_cf_variable("values", raw, decode_times=False)
 
     def __getitem__(self, key: Key) -> NDArray[Any]:
         return self.decoded(np.asarray(self._base[key]))

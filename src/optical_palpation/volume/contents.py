@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 from ..errors import InputError
 from .arrays import Array
 from .metadata import Access, Stated
+from .units import is_unit_key
 
 
 @dataclass(frozen=True)
@@ -49,12 +50,28 @@ class Variable:
 class Contents:
     """The arrays of a file by name, ``""`` where it holds a single one without a name.
 
-    ``texts`` are those beside them that state a unit, attributes of the whole file among them.
+    ``texts`` are those that state a unit, beside an array or of a group that holds it, the whole
+    file among these; named like arrays. ``unread`` names what is neither numbers nor text.
     """
 
     variables: Mapping[str, Variable]
     close: Callable[[], None] = lambda: None
     texts: Mapping[str, str] = field(default_factory=dict)
+    unread: Collection[str] = ()
+
+    def unit_texts(self, name: str) -> dict[str, str]:
+        """Texts that state the unit of an array: beside it, or of the nearest group."""
+        group = name
+        while group:
+            group = group.rpartition("/")[0]
+            found = {
+                key.rpartition("/")[2]: text
+                for key, text in self.texts.items()
+                if key.rpartition("/")[0] == group and is_unit_key(key.rpartition("/")[2])
+            }
+            if found:
+                return found
+        return {key: text for key, text in self.texts.items() if is_unit_key(key)}
 
     @classmethod
     def single(
@@ -64,10 +81,11 @@ class Contents:
         access: Access,
         close: Callable[[], None] = lambda: None,
         dims: tuple[str, ...] = (),
+        texts: Mapping[str, str] | None = None,
     ) -> Contents:
         """Contents of a format that holds one array."""
         variable = Variable(array.shape, array.dtype, lambda: array, access, dims, stated=stated)
-        return cls({"": variable}, close)
+        return cls({"": variable}, close, texts or {})
 
     def __enter__(self) -> Contents:
         return self

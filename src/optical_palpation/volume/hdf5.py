@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .arrays import MAX_BSCAN_BYTES, Key, LazyArray, nbytes
+from .arrays import MAX_BSCAN_BYTES, Key, LazyArray, View, nbytes, reversed_axes
 from .cf import Decoded
 from .contents import Contents, Variable
 from .hdf5_heaps import check_heaps
@@ -46,13 +46,25 @@ def contents(path: Path, wanted: str | None) -> Contents:
     """Find the datasets, what names their axes and what their attributes say."""
     file = open_file(path)
     try:
-        found = {
-            name: _variable(path, file, name, item)
-            for name, item in datasets(path, file)
-            if (item.dtype.kind in "biufc" or is_complex_pair(item.dtype)) and not _is_bare(item)
-        }
-        texts = {key: str(text) for key, text in _attributes(file).items() if is_unit_key(key)}
-        return Contents(found, file.close, texts)
+        found, texts, unread = {}, _unit_texts(file, ""), []
+        for name, item in datasets(path, file):
+            group = name.rpartition("/")[0]
+            by_octave = group != "" and "OCTAVE_NEW_FORMAT" in file[group].attrs
+            if by_octave and name == f"{group}/value":
+                name = group
+            while group:
+                texts |= _unit_texts(file[group], group)
+                group = group.rpartition("/")[0]
+            is_text = item.dtype.kind in "SO" and item.size == 1
+            if is_text and is_unit_key(name.rpartition("/")[2]):
+                texts[name] = str(_plain(np.asarray(item[()]).ravel()[0]))
+            elif item.dtype.kind not in "biufc" and not is_complex_pair(item.dtype):
+                unread.append(name)
+            elif not _is_bare(item):
+                columns_first = by_octave or "MATLAB_class" in item.attrs
+                found[name] = _variable(path, file, name, item, columns_first)
+        unread += [name for name in found if is_unit_key(name.rpartition("/")[2])]
+        return Contents(found, file.close, texts, unread)
     except BaseException:
         file.close()
         raise
@@ -142,13 +154,25 @@ def is_complex_pair(dtype: np.dtype[Any]) -> bool:
     return set(dtype.names or ()) in ({"real", "imag"}, {"r", "i"})
 
 
-def _variable(path: Path, file: Any, name: str, item: Any) -> Variable:
+def _unit_texts(group: Any, name: str) -> dict[str, str]:
+    """Attributes of a group that state a unit, by their path."""
+    said = {key: text for key, text in _attributes(group).items() if is_unit_key(key)}
+    return {f"{name}/{key}".lstrip("/"): str(text) for key, text in said.items()}
+
+
+def _variable(path: Path, file: Any, name: str, item: Any, columns_first: bool) -> Variable:
     where = f"{path}, variable {name}"
     attrs = {key: value for key, value in _attributes(item).items() if key not in _OWN_ATTRS}
     facts = described({n: item.attrs[n] for n in DESCRIPTIONS if n in item.attrs}, where)
     access = "streamed" if item.chunks else "mapped"
-    if item.dtype.kind not in "iuf" or "MATLAB_class" in item.attrs:
+    if item.dtype.kind not in "iuf" or columns_first:
         dtype = np.dtype(np.complex128) if item.dtype.names else item.dtype
+        if columns_first:  # MATLAB and Octave store the transpose
+
+            def reversed_() -> View:
+                return reversed_axes(stored_array(path, item))
+
+            return Variable(item.shape[::-1], dtype, reversed_, access, (), attrs, facts)  # type: ignore[arg-type]
         opened: Any = partial(stored_array, path, item)
         return Variable(item.shape, dtype, opened, access, _dims(file, item), attrs, facts)  # type: ignore[arg-type]
     dims = _dims(file, item)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,13 @@ _ALL = (slice(None),) * 32
 MAX_VALUES = 2**24
 #: What else axes of a map are called.
 _SYNONYMS = {"column": "x", "columns": "x", "col": "x", "cols": "x", "row": "y", "rows": "y"}
+_SYNONYMS |= {"lon": "x", "longitude": "x", "easting": "x"}
+_SYNONYMS |= {"lat": "y", "latitude": "y", "northing": "y"}
+#: Names of dimensions only: a variable of this name may hold anything.
+_DIMENSIONS = {"width": "x", "height": "y"}
+_POSITION = re.compile(r"([xyz])(?:s|_?(?:pos|position|coord|coordinate|axis)s?)")
+_NUMBERED = re.compile(r"([xyz])_?[0-9]")
+_STANDARD = {"projection_x_coordinate": "x", "projection_y_coordinate": "y"}
 
 
 @dataclass(frozen=True)
@@ -32,10 +41,14 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Labelled:
-    """Values with their axes in the order asked for; positions in mm where the file has them."""
+    """Values with their axes in the order asked for; positions in mm where the file has them.
+
+    ``order`` is that of the axes as they are stored.
+    """
 
     values: NDArray
     positions: dict[str, NDArray[np.float64] | None]
+    order: tuple[str, ...]
 
 
 def axis_of(name: str, variable: Variable | None = None) -> str:
@@ -43,8 +56,19 @@ def axis_of(name: str, variable: Variable | None = None) -> str:
     said = str(variable.attrs.get("axis", "")).lower() if variable is not None else ""
     if said in ("x", "y", "z"):
         return said
+    standard = str(variable.attrs.get("standard_name", "")) if variable is not None else ""
+    if standard in _STANDARD:
+        return _STANDARD[standard]
     stem = split_unit(name.rpartition("/")[2])[0].lower()
+    if position := _POSITION.fullmatch(stem):
+        return position[1]
     return _SYNONYMS.get(stem, stem)
+
+
+def _axis_of_dimension(name: str) -> str:
+    axis = axis_of(name)
+    numbered = _NUMBERED.fullmatch(axis)
+    return numbered[1] if numbered else _DIMENSIONS.get(axis, axis)
 
 
 def values_of(path: Path, name: str, variable: Variable) -> NDArray:
@@ -67,11 +91,17 @@ def coordinate(path: Path, contents: Contents, name: str, axis: str) -> Coordina
     """
     group = name.rpartition("/")[0]
     dims = contents.variables[name].dims
-    names = [
-        other
-        for other, variable in contents.variables.items()
-        if other != name and other.rpartition("/")[0] == group and axis_of(other, variable) == axis
-    ]
+    while True:
+        names = [
+            other
+            for other, variable in contents.variables.items()
+            if other != name
+            and other.rpartition("/")[0] == group
+            and axis_of(other, variable) == axis
+        ]
+        if names or not (group and dims):
+            break
+        group = group.rpartition("/")[0]  # dimensions of netCDF hold in the groups below, too
     own = [other for other in names if other.rpartition("/")[2] in dims] or names
     if not own:
         return None
@@ -93,12 +123,36 @@ def coordinate(path: Path, contents: Contents, name: str, axis: str) -> Coordina
     return Coordinate(own[0], squeezed, variable.dims, stated_unit(own[0], variable.attrs, where))
 
 
-def labelled(path: Path, contents: Contents, name: str, axes: str = "yx") -> Labelled:
+def attributes_of(path: Path, contents: Contents, name: str) -> Mapping[str, object]:
+    """Attributes of an array; where none of them is a unit, what the file says of it elsewhere.
+
+    Raises
+    ------
+    InputError
+        If the unit may stand in something that cannot be read.
+    """
+    attrs = contents.variables[name].attrs
+    if any(is_unit_key(key) for key in attrs):
+        return attrs
+    for other in contents.unread:
+        group, _, stem = other.rpartition("/")
+        if is_unit_key(stem) and name.startswith(group):
+            raise InputError(
+                f"{path}: {other} may state the unit, but is no text; save it as one, or leave it "
+                "out"
+            )
+    return {**attrs, **contents.unit_texts(name)}
+
+
+def labelled(
+    path: Path, contents: Contents, name: str, axes: str = "yx", like: str | None = None
+) -> Labelled:
     """Read an array with its axes in a given order, and their coordinates in mm.
 
     Which axis is which is said by the names of its dimensions, by the dimensions of the coordinate
     variables, or by the direction along which coordinates of every pixel vary. Where nothing says
-    it the axes come as they are asked for.
+    it the axes come as they are asked for, or as those of another array, `like`, that is stored
+    with the same shape.
 
     Raises
     ------
@@ -112,6 +166,10 @@ def labelled(path: Path, contents: Contents, name: str, axes: str = "yx") -> Lab
             f"{where} has the shape {variable.shape}; {len(axes)} axes ({', '.join(axes)}) are "
             "needed"
         )
+    if like is not None and not variable.dims and not variable.stated.axes:
+        other = contents.variables[like]
+        if other.shape == variable.shape:
+            variable = replace(variable, dims=other.dims, stated=other.stated)
     found = {axis: coordinate(path, contents, name, axis) for axis in axes}
     order = _order(variable, found, axes, where)
     values = values_of(path, name, variable).transpose([order.index(axis) for axis in axes])
@@ -134,7 +192,7 @@ def labelled(path: Path, contents: Contents, name: str, axes: str = "yx") -> Lab
             )
         unit = given.unit or _common_unit(contents, given, f"{path}, variable {given.name}")
         positions[axis] = vector * MM[unit]
-    return Labelled(values, positions)
+    return Labelled(values, positions, tuple(order))
 
 
 _KIND = {"x": "columns", "y": "rows", "z": "layers"}
@@ -142,7 +200,7 @@ _KIND = {"x": "columns", "y": "rows", "z": "layers"}
 
 def _common_unit(contents: Contents, given: Coordinate, where: str) -> str:
     """Unit of a coordinate that has none of its own; one of the whole file would be ambiguous."""
-    if any(is_unit_key(key) for key in contents.texts):
+    if contents.unit_texts(given.name):
         raise InputError(
             f"{where}: the file states a unit, but does not say whether for the coordinates too; "
             f"name it {given.name}_mm or {given.name}_um"
@@ -155,8 +213,16 @@ def _order(
 ) -> list[str]:
     """Which axis each dimension of the stored array is."""
     names: list[str | None] = [None] * len(axes)
+    stated = variable.stated.axes
+    if stated is not None and sorted(stated.lower()) == sorted(axes):
+        names = list(stated.lower())
     for number, dim in enumerate(variable.dims):
-        label = axis_of(dim)
+        label = _axis_of_dimension(dim)
+        if label in axes and names[number] not in (None, label):
+            raise InputError(
+                f"{where}: its axes are said to be {stated}, but its dimensions are "
+                f"({', '.join(variable.dims)})"
+            )
         if label in ("x", "y", "z"):
             if label not in axes:
                 raise InputError(

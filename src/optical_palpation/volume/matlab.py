@@ -46,12 +46,15 @@ def _v73(path: Path) -> Contents:
         found: dict[str, Variable] = {}
         stated: dict[str, Any] = {}
         texts: dict[str, str] = {}
+        unread = []
         for name, item in hdf5.datasets(path, file):
             matlab_class = item.attrs.get("MATLAB_class", b"")
             text = matlab_class == b"char" or (name in DESCRIPTIONS and item.dtype == np.uint16)
-            if matlab_class in (b"cell", b"function_handle"):
+            unit = is_unit_key(name.rpartition("/")[2])
+            if matlab_class in (b"cell", b"function_handle") or (unit and not text):
+                unread.append(name)
                 continue
-            if item.size <= 100 and (name in DESCRIPTIONS or (text and is_unit_key(name))):
+            if item.size <= 100 and (name in DESCRIPTIONS or unit):
                 value = item[()]
                 if text:  # UTF-16, down the columns
                     value = texts[name] = "".join(map(chr, np.ravel(value)))
@@ -65,7 +68,7 @@ def _v73(path: Path) -> Contents:
                 found[name] = _v73_variable(path, item, matlab_class)
         facts = described(stated, str(path))
         found = {n: Variable(**vars(v) | {"stated": facts}) for n, v in found.items()}
-        return Contents(found, file.close, texts)
+        return Contents(found, file.close, texts, unread)
     except BaseException:
         file.close()
         raise
@@ -88,9 +91,13 @@ def _v73_variable(path: Path, item: Any, matlab_class: bytes) -> Variable:
 
 def _v5(path: Path) -> Contents:
     found = matlab_v5.variables(path)
+    unread = [name for name, header in found.items() if header is None]
+    unread += [n for n, header in found.items() if is_unit_key(n) and header and header.dtype]
     stated: dict[str, Any] = {}
     texts: dict[str, str] = {}
     for name, header in found.items():
+        if header is None:
+            continue
         if name in DESCRIPTIONS or (header.dtype is None and is_unit_key(name)):
             value = matlab_v5.load(path, header)
             if isinstance(value, str):
@@ -115,7 +122,8 @@ def _v5(path: Path) -> Contents:
                 stated=facts,
             )
             for name, header in found.items()
-            if header.dtype is not None and name not in DESCRIPTIONS
+            if header and header.dtype is not None and name not in DESCRIPTIONS
         },
         texts=texts,
+        unread=unread,
     )

@@ -79,9 +79,9 @@ class Variable:
         return np.dtype(np.complex64 if single else np.complex128)
 
 
-def variables(path: Path) -> dict[str, Variable]:
-    """Read the headers of all variables that are arrays of numbers or text."""
-    found: dict[str, Variable] = {}
+def variables(path: Path) -> dict[str, Variable | None]:
+    """Read the headers of all variables; None for what is neither an array of numbers nor text."""
+    found: dict[str, Variable | None] = {}
     with path.open("rb") as file:
         order = "<" if file.read(128)[126:128] == b"IM" else ">"
         total = path.stat().st_size
@@ -95,9 +95,8 @@ def variables(path: Path) -> dict[str, Variable]:
                 raise InputError(f"{path}: a variable ends beyond the end of the file: truncated")
             if kind in (_MATRIX, _COMPRESSED):
                 stream = _content(file, position, size, kind == _COMPRESSED, order, path)
-                variable = _header(stream, position, size, kind == _COMPRESSED, order, path)
-                if variable is not None:
-                    found[variable.name] = variable
+                name, variable = _header(stream, position, size, kind == _COMPRESSED, order, path)
+                found[name] = variable
             position += 8 + size
     raise InputError(f"{path}: holds more than {_MAX_VARIABLES} variables")
 
@@ -183,11 +182,11 @@ def _content(
 
 def _header(
     stream: _Stream, position: int, size: int, compressed: bool, order: str, path: Path
-) -> Variable | None:
-    """Read flags, dimensions and name; None for what is neither numbers nor text."""
+) -> tuple[str, Variable | None]:
+    """Read flags, dimensions and name; the name alone of what is neither numbers nor text."""
     flags_kind, flags_size, _ = _tag(stream, order, path)
     if flags_kind != 6 or flags_size != 8:
-        return None
+        return "", None
     flags, _ = _words(_exactly(stream, 8, str(path)), order, path)
     dims = _element(stream, order, path)
     name = _element(stream, order, path).rstrip(b"\0").decode("latin-1")
@@ -198,10 +197,9 @@ def _header(
         raise InputError(f"{path}: {name} has a negative dimension {shape}")
     kind = flags & 0xFF
     if kind not in _CLASSES and kind != _CHAR_CLASS:
-        return None
-    return Variable(
-        name, shape, kind, bool(flags >> 8 & _COMPLEX_FLAG), position, size, compressed, order
-    )
+        return name, None
+    is_complex = bool(flags >> 8 & _COMPLEX_FLAG)
+    return name, Variable(name, shape, kind, is_complex, position, size, compressed, order)
 
 
 def _element(stream: _Stream, order: str, path: Path) -> bytes:

@@ -70,7 +70,8 @@ def contents(path: Path, wanted: str | None) -> Contents:
             access = "mapped" if stored else "streamed"
             return Variable(shape, dtype, opened, access, stated=facts)  # type: ignore[arg-type]
 
-        return Contents({name: variable(name) for name in headers}, archive.close, texts)
+        unread = [name for name in members if is_unit_key(name) and name not in texts]
+        return Contents({name: variable(name) for name in headers}, archive.close, texts, unread)
     except BaseException:
         archive.close()
         raise

@@ -18,6 +18,8 @@ _SUFFIX = re.compile(
     r"(?P<unit>[munc]m|microns?|(?:milli|micro|nano|centi)?met(?:er|re)s?)[)\]]?",
     re.IGNORECASE,
 )
+# L1um and thicknessUm, but no datum
+_JOINED = re.compile(r"(?P<stem>.*(?:[0-9](?=[munc])|[a-z0-9](?=[MUNC])))(?P<unit>[MUNCmunc]m)")
 
 
 def length_unit(text: str) -> str | None:
@@ -41,7 +43,7 @@ def to_mm(value: float, unit: str, where: str) -> float:
 def split_unit(name: str) -> tuple[str, str | None]:
     """Split a name like ``x_um`` or ``depth (microns)`` into what it names and its unit."""
     plain = name.strip().replace("\u00b5", "u").replace("\u03bc", "u")
-    match = _SUFFIX.fullmatch(plain)
+    match = _SUFFIX.fullmatch(plain) or _JOINED.fullmatch(plain)
     return (match["stem"], length_unit(match["unit"])) if match else (name.strip(), None)
 
 

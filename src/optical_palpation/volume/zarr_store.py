@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import struct
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from .arrays import MAX_BSCAN_BYTES, Array, LazyArray, nbytes, squeezed, squeeze
 from .cf import Decoded
 from .contents import Contents, Variable
 from .metadata import DESCRIPTIONS, Stated, described
-from .units import to_mm
+from .units import is_unit_key, to_mm
 
 FORMAT = "Zarr"
 
@@ -53,12 +55,39 @@ def contents(path: Path, wanted: str | None) -> Contents:
         return Contents({"": _variable(path, node)})
     image = _ome_image(dict(node.attrs), str(path)) if wanted is None else None
     if image is None:
-        return Contents({name: _variable(path, array) for name, array in _arrays(node, "", path)})
+        found = dict(_arrays(node, "", path))
+        texts = _unit_texts(node, "")
+        for name in found:
+            group = name.rpartition("/")[0]
+            while group:
+                texts |= _unit_texts(node[group], group)
+                group = group.rpartition("/")[0]
+        return Contents({n: _variable(path, array) for n, array in found.items()}, texts=texts)
     array: Any = node[image["datasets"][0]["path"]]
     if not isinstance(array, zarr.Array):
         raise InputError(f"{path}: {image['datasets'][0]['path']} is not an array")
     stated = _ome(image, array.shape, str(path))
     return Contents({"": _variable(path, array, stated)})
+
+
+def _unit_texts(group: Any, name: str) -> dict[str, str]:
+    """Attributes of a group that state a unit, by their path."""
+    said = {key: text for key, text in dict(group.attrs).items() if is_unit_key(key)}
+    return {f"{name}/{key}".lstrip("/"): str(text) for key, text in said.items()}
+
+
+def _fill_values(array: Any, attrs: dict[str, Any], where: str) -> list[float]:
+    """Values that stand for missing ones; of ``_FillValue`` the text that xarray makes of it."""
+    fills = []
+    if isinstance(coded := attrs.get("_FillValue"), str):
+        try:
+            (fill,) = struct.unpack("<d", base64.b64decode(attrs.pop("_FillValue"), validate=True))
+        except (ValueError, struct.error):
+            raise InputError(f"{where}: _FillValue is {coded!r}, no number") from None
+        fills.append(fill)
+    if array.fill_value is not None and array.fill_value != 0:
+        fills.append(float(array.fill_value))
+    return [fill for fill in fills if math.isfinite(fill)]
 
 
 def _variable(path: Path, array: Any, stated: Stated | None = None) -> Variable:
@@ -76,10 +105,13 @@ def _variable(path: Path, array: Any, stated: Stated | None = None) -> Variable:
             shape, dtype, lambda: _opened(path, array, where), "streamed", dims, attrs, stated
         )
     axes = [f"axis {number}" for number in range(len(shape))]
-    unread = Decoded(np.broadcast_to(np.zeros((), dtype), shape), axes, attrs, where=where)
+    decoding = partial(
+        Decoded, dims=axes, attrs=attrs, fills=_fill_values(array, attrs, where), where=where
+    )
+    unread = decoding(np.broadcast_to(np.zeros((), dtype), shape))
 
     def opened() -> Array:
-        return Decoded(_opened(path, array, where), axes, attrs, where=where)
+        return decoding(_opened(path, array, where))
 
     return Variable(shape, unread.dtype, opened, "streamed", dims, unread.attrs, stated)
 
