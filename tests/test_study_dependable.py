@@ -156,6 +156,13 @@ def test_what_other_code_made_is_made_anew(done, monkeypatch):
     assert changed == {"algebraic.nc", "stress.nc", "profiles.csv"}
 
 
+def test_another_number_of_threads_makes_nothing_anew(done):
+    study = read_study("study.toml", {"grid.threads": 2, "outputs.folder": "study-results"})
+    assert study.grid.threads == 2
+    again = run_study(study)
+    assert again.earlier == again.files
+
+
 def test_version_and_commit_are_in_every_file(done):
     said = software_version()
     made = json.loads((done / "provenance.json").read_text())
