@@ -99,11 +99,34 @@ def test_a_failure_is_told_and_tried_again_when_the_file_changes(maps):
     again.arrived()
     status = {p.name: again.solve(p).status for p in all_arrived(again)}
     assert status == {"a.npy": "earlier", "b.npy": "done"}
-    other = (maps / "study.toml").read_text().replace("window = 0.15", "window = 0.2")
-    (maps / "study.toml").write_text(other)
+    # another number of threads is no other study, and the estimates are another result
+    text = (maps / "study.toml").read_text()
+    for options, status in (({"threads": 2}, "earlier"), ({"estimates": True}, "done")):
+        other = Watch(maps / "study.toml", maps / "in", settle=0.0, **options)
+        other.arrived()
+        assert {other.solve(p).status for p in all_arrived(other)} == {status}
+    (maps / "study.toml").write_text(text.replace("window = 0.15", "window = 0.2"))
+    late = again.solve(maps / "in" / "b.npy")
+    assert (late.status, "start the watch again" in late.message) == ("failed", True)
     changed = Watch(maps / "study.toml", maps / "in", settle=0.0)
     changed.arrived()
     assert {changed.solve(p).status for p in all_arrived(changed)} == {"done"}
+
+
+def test_another_unloaded_map_makes_another_result_and_no_row_is_lost(maps):
+    text = OF_MAPS.replace("thickness = 0.5", 'map = "flat.npy"\npixel_spacing = [0.05, 0.05]')
+    (maps / "study.toml").write_text(text)
+    np.save(maps / "flat.npy", np.full((41, 41), 0.5))
+    first, second = (Watch(maps / "study.toml", maps / "in", settle=0.0) for _ in range(2))
+    for name, watch in (("a.npy", first), ("b.npy", second)):
+        np.save(maps / "in" / name, pressed(0.03))
+        assert watch.solve(maps / "in" / name).status == "done"
+    assert set(table(maps / "in-stress").index) == {"a.npy", "b.npy"}
+    force = table(maps / "in-stress")["sample_force_mN"]["a.npy"]
+    assert first.solve(maps / "in" / "a.npy").status == "earlier"
+    np.save(maps / "flat.npy", np.full((41, 41), 0.51))
+    assert first.solve(maps / "in" / "a.npy").status == "done"
+    assert table(maps / "in-stress")["sample_force_mN"]["a.npy"] > 1.05 * force
 
 
 def test_volumes_against_an_unloaded_one_that_is_found_once(tmp_path):
@@ -169,7 +192,7 @@ def test_the_command_tells_each_file_and_ends_with_ctrl_c(maps):
         "1 done, 1 failed",
         str((maps / "in-stress" / TABLE).resolve()),
     ]
-    assert sorted(p.name for p in (maps / "in-stress").iterdir()) == [
+    assert sorted(p.name for p in (maps / "in-stress").iterdir() if p.name[0] != ".") == [
         TABLE,
         "good.npy.stress.nc",
     ]

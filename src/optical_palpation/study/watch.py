@@ -6,6 +6,8 @@ are loaded, the unloaded layer is found, before the first file arrives.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
 import tomllib
 from collections.abc import Callable
@@ -18,6 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
+from filelock import FileLock, Timeout
 
 from optical_palpation import present
 from optical_palpation.errors import InputError, OpticalPalpationError, OutputError
@@ -34,6 +37,7 @@ from optical_palpation.study.inputs import (
     find_boundaries,
     finding,
     open_input,
+    sample_facts,
 )
 from optical_palpation.study.plausible import check_study
 from optical_palpation.study.reading import read_study
@@ -45,6 +49,9 @@ from optical_palpation.volume.opening import MAP_READERS, READERS, is_known
 
 #: The table, in the result folder.
 TABLE = "arrived.csv"
+_LOCK = ".lock"
+_PATIENCE = 30.0
+"""Seconds within which another watch has written the table."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +133,7 @@ class Watch:
             raise OutputError(f"{self.output}: cannot be made ({error.strerror})") from error
         self._settle, self._pattern, self._estimates = settle, pattern, estimates
         self._changes: dict[str, Any] = {} if threads is None else {"grid.threads": threads}
+        self._file_state = file_state(self._file)
         # until a file arrives, the study file stands for it
         self._study = read_study(self._file, self._changes | self._loaded(self._file))
         self._unloaded: xr.Dataset | None = None
@@ -207,10 +215,12 @@ class Watch:
         self._handled[path] = file_state(path)
         row: dict[str, Any] = {"file": readable_name(path)}
         try:
+            if file_state(self._file) != self._file_state:
+                raise InputError(f"{self._file} has changed: start the watch again")
             study = read_study(self._file, self._changes | self._loaded(path))
             unchanged = Unchanged(study)
             self._check_unloaded(study)
-            row |= {"sha256": _sha256(path, study), "study_sha256": self._study.sha256}
+            row |= {"sha256": _sha256(path, study), "basis_sha256": self._basis(study)}
             row["software_version"] = software_version()
             known = self._rows.get(row["file"], {})
             same = all(str(known.get(key)) == value for key, value in row.items())
@@ -232,9 +242,28 @@ class Watch:
             "seconds": round(seconds, 3),
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         }
-        self._rows[row["file"]] = row
-        self._write_table()
+        self._write_table(row)
         return Arrival(row["file"], row["status"], row["message"], row, seconds)
+
+    def _basis(self, study: Study) -> str:
+        """Hash of all that a result depends on, but for the file that has arrived; hex."""
+        exclude: Any = {
+            "title": True,
+            "outputs": True,
+            "loaded": {"map", "volume"},
+            "unloaded": {"map", "volume", "corrections"},
+            "grid": {"threads"},  # which changes the stress in the ninth digit
+        }
+        used = study.model_dump(mode="json", exclude=exclude)
+        files = dict(sample_facts(study))
+        if isinstance(study.unloaded, MapInput):
+            files["unloaded"] = sha256(study.path(study.unloaded.map))
+        elif isinstance(study.unloaded, VolumeInput):
+            fixes = study.unloaded.corrections
+            files["unloaded"] = self._unloaded_facts["sha256"]
+            files["corrections"] = sha256(study.path(fixes)) if fixes else None
+        text = json.dumps([used, files, self._estimates], sort_keys=True)
+        return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
 
     def _stress(self, study: Study, progress: Callable[[Any], None] | None) -> StressResult:
         found, inputs = {}, {}
@@ -287,9 +316,15 @@ class Watch:
                 "--output"
             ) from error
 
-    def _write_table(self) -> None:
-        with replacing(self.output / TABLE) as temporary:
-            pd.DataFrame(list(self._rows.values())).to_csv(temporary, index=False)
+    def _write_table(self, row: dict[str, Any]) -> None:
+        """Add a row to the table, to which another watch may have added others."""
+        try:
+            with FileLock(self.output / _LOCK, timeout=_PATIENCE):
+                self._rows = {**self._read_table(), row["file"]: row}
+                with replacing(self.output / TABLE) as temporary:
+                    pd.DataFrame(list(self._rows.values())).to_csv(temporary, index=False)
+        except Timeout:
+            raise OutputError(f"{self.output / TABLE}: another process holds it") from None
 
 
 def _sha256(path: Path, study: Study) -> str:
