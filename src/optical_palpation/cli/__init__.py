@@ -55,23 +55,6 @@ app = typer.Typer(
 
 # The commands in the order of the help; of each, examples, and what long ones cost.
 _EPILOGS: dict[Callable[..., None], str] = {
-    stress: epilog(
-        [
-            "stress map.mat --field-of-view 5 5 --initial-thickness 0.5 --c10 2.23 --c01 0.703 "
-            "--window-friction 0.15 --sample-friction 0.05 --element-size 0.125 "
-            "--output stress.nc --plot stress.png"
-        ],
-        "seconds for 10,000 elements, minutes for a million; the first run on a machine compiles "
-        "for up to two minutes.",
-    ),
-    submodel: epilog(
-        [
-            "submodel stress.nc map.mat --field-of-view 5 5 --initial-thickness 0.5 "
-            "--region 1 2 2 3 --element-size 0.025 --output part.nc"
-        ],
-        "that of as many elements as the region and its margin have.",
-    ),
-    demo: epilog(["demo --output demo-output"], "about a minute."),
     sample: epilog(["sample relief", "sample nodule --output mine"], "some seconds."),
     new: epilog(["new study.toml"]),
     run: epilog(
@@ -95,6 +78,23 @@ _EPILOGS: dict[Callable[..., None], str] = {
         ["thickness loaded.oct --output loaded.nc --plot loaded.png"],
         "some seconds for 500 x 500 A-scans.",
     ),
+    stress: epilog(
+        [
+            "stress map.mat --field-of-view 5 5 --initial-thickness 0.5 --c10 2.23 --c01 0.703 "
+            "--window-friction 0.15 --sample-friction 0.05 --element-size 0.125 "
+            "--output stress.nc --plot stress.png"
+        ],
+        "seconds for 10,000 elements, minutes for a million; the first run on a machine compiles "
+        "for up to two minutes.",
+    ),
+    submodel: epilog(
+        [
+            "submodel stress.nc map.mat --field-of-view 5 5 --initial-thickness 0.5 "
+            "--region 1 2 2 3 --element-size 0.025 --output part.nc"
+        ],
+        "that of as many elements as the region and its margin have.",
+    ),
+    material: epilog(["material test.csv --law mooney-rivlin --plot fit.png"]),
     friction: epilog(
         [
             "friction profile.csv --layer-size 10 10 --initial-thickness 0.5 "
@@ -102,17 +102,9 @@ _EPILOGS: dict[Callable[..., None], str] = {
         ],
         "a minute or so for new calibration curves; --save-calibration keeps them.",
     ),
-    material: epilog(["material test.csv --law mooney-rivlin --plot fit.png"]),
-    experiment: epilog(
-        ["experiment sinusoid --output sinusoid"], "minutes; a larger --element-size is quicker."
-    ),
     uncertainty: epilog(
         ["uncertainty study.toml --modulus 0.02 --thickness-noise 0.001 --probes 2"],
         "that of the study, and two solutions more for each probe of noise.",
-    ),
-    reproduce: epilog(
-        ["reproduce --output validation --only material"],
-        "all parts take an hour or more; --quick shows that they run.",
     ),
     figure: epilog(
         [
@@ -125,6 +117,14 @@ _EPILOGS: dict[Callable[..., None], str] = {
     compare: epilog(["compare before.nc after.nc --register --plot both.png"]),
     report: epilog(["report stress.nc --compare other.nc --output report.html"]),
     convert: epilog(["convert stress.nc --output stress.mat --output stress.tif"]),
+    experiment: epilog(
+        ["experiment sinusoid --output sinusoid"], "minutes; a larger --element-size is quicker."
+    ),
+    demo: epilog(["demo --output demo-output"], "about a minute."),
+    reproduce: epilog(
+        ["reproduce --output validation --only material"],
+        "all parts take an hour or more; --quick shows that they run.",
+    ),
 }
 for command, text in _EPILOGS.items():
     kind = SeveralNumbersCommand if command in (stress, submodel) else Command

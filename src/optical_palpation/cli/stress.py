@@ -184,7 +184,13 @@ def stress(
             "0.02 for 2 %. Elements are made finer until the estimate is below that.",
         ),
     ] = None,
-    edges: Annotated[Edges, typer.Option(help="Sides of the layer.")] = Edges.FREE,
+    edges: Annotated[
+        Edges,
+        typer.Option(
+            help="Sides of the layer: free ends at them, padded goes on beyond the map, roller "
+            "lets nothing move through them."
+        ),
+    ] = Edges.FREE,
     imprint_smoothing: Annotated[
         float | None,
         typer.Option(
