@@ -53,6 +53,23 @@ def texts(path):
     return " ".join("".join(e.itertext()) for e in root.iter("{http://www.w3.org/2000/svg}text"))
 
 
+@pytest.mark.parametrize(("width", "height"), [(4.0, 2.0), (4.0, 4.2), (20.0, 12.0), (0.3, 0.25)])
+def test_ticks_are_as_far_apart_along_both_axes(width, height):
+    field = xr.DataArray(
+        np.ones((9, 9)),
+        {"y": np.linspace(0, height, 9), "x": np.linspace(0, width, 9)},
+        ("y", "x"),
+        name="axial_stress",
+    )
+    with new_figure("single") as figure:
+        axes = figure.subplots()
+        draw_map(axes, field, term(field.to_dataset(), "axial_stress"))
+        figure.draw_without_rendering()
+        steps = [np.diff(axis.get_majorticklocs()) for axis in (axes.xaxis, axes.yaxis)]
+    assert steps[0][0] == pytest.approx(steps[1][0])
+    assert all(len(step) >= 2 for step in steps)
+
+
 @pytest.mark.parametrize("ending", ["png", "svg"])
 @pytest.mark.parametrize(("width", "mm"), [("single", 85), ("double", 178), (120.0, 120)])
 def test_a_figure_is_as_wide_as_its_column(tmp_path, ending, width, mm):

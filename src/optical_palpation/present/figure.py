@@ -225,6 +225,7 @@ def draw_map(
         _scale_bar(axes, float(np.ptp(axes.get_xlim())))
     else:
         axes.set(xlabel="x (mm)", ylabel="y (mm)")
+        _equal_ticks(axes)
     if colour_bar:
         figure: Any = axes.figure
         if named:
@@ -265,6 +266,17 @@ def hatch_edges(axes: Axes, maps: xr.Dataset) -> None:
     drawn.set_linewidth(0.0)
     axes.contour(values["x"], values["y"], values, [NOTABLE], colors=_HATCH, linewidths=0.5)
     axes.set_xlabel(f"{axes.get_xlabel()}\nhatched: sides matter (> {100 * NOTABLE:g} %)")
+
+
+def _equal_ticks(axes: Axes) -> None:
+    """Ticks the same distance apart along both axes, unless one is too short for them."""
+    from matplotlib.ticker import MaxNLocator, MultipleLocator
+
+    spans = [float(np.ptp(limits)) for limits in (axes.get_xlim(), axes.get_ylim())]
+    step = float(np.diff(MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0.0, max(spans)))[0])
+    if min(spans) >= 2 * step:
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(MultipleLocator(step))
 
 
 def _scale_bar(axes: Axes, width: float) -> None:
