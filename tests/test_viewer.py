@@ -288,6 +288,12 @@ def test_from_volumes_to_a_table_and_back_to_the_command(viewer, panel, study, t
     assert bench.result.maps.attrs["sample_force_mN"] > result.maps.attrs["sample_force_mN"]
     assert np.array_equal(stress.data, bench.result.maps["axial_stress"].values.astype(np.float32))
 
+    # maps that were not there before lie below the regions
+    panel.solving.solve()
+    wait_idle(panel)
+    assert "95 % band" in " ".join(it.name for it in viewer.layers)
+    assert viewer.layers[-1] is next(bench.layers("regions"))
+
     panel.save_study(str(tmp_path / "mine.toml"))
     text = (tmp_path / "mine.toml").read_text()
     (tmp_path / "mine.toml").write_text(text + "\n[outputs]\nwrite = []\n")

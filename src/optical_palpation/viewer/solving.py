@@ -146,6 +146,9 @@ class Solving(QGroupBox):
         self._forget(keep=bench.show(layers))
         if not list(bench.layers("regions")):
             bench.show([region_layer()])
+        layers_there = bench.viewer.layers
+        for drawn in list(bench.layers("regions")):  # over maps that were not there before
+            layers_there.move(layers_there.index(drawn), len(layers_there))
         if first:
             bench.view_maps([term(result.maps, "axial_stress").label])
         self.outcome.setText(_in_words(result))
