@@ -14,6 +14,7 @@ import xarray as xr
 import optical_palpation as op
 from optical_palpation.errors import ConvergenceError, InputError, OutputError
 from optical_palpation.mechanics.newton import balance
+from optical_palpation.present.tables import result_columns
 from optical_palpation.study import python, read_study
 from optical_palpation.study.script import reproducing_lines
 
@@ -186,6 +187,15 @@ def test_a_study_chooses_its_mesh_by_the_accuracy(tmp_path):
     assert saved.parameters["grid"]["accuracy"] == 0.1
 
 
+def test_the_row_of_a_result_in_a_table(result):
+    attrs, row = result.maps.attrs, result_columns(result)
+    assert row["elements"] == np.prod(attrs["elements"])
+    by_hand = np.hypot(attrs["force_error_mN"], attrs.get("force_mesh_error_mN", 0.0))
+    assert row["force_error_mN"] == pytest.approx(by_hand)
+    error = float(result.maps["axial_stress_error"].mean())
+    assert row["mean_axial_stress_error_kPa"] >= error > 0
+
+
 def test_a_study_without_estimates_has_the_same_stress(result, tmp_path, monkeypatch):
     estimates = {"axial_stress_error", "edge_influence"}
     assert estimates <= set(result.maps)
@@ -193,6 +203,7 @@ def test_a_study_without_estimates_has_the_same_stress(result, tmp_path, monkeyp
     bare = alone.run()
     np.testing.assert_array_equal(bare.maps["axial_stress"], result.maps["axial_stress"])
     assert not estimates & set(bare.maps)
+    assert not [name for name in result_columns(bare) if "error" in name]
     saved = alone.save(tmp_path / "study.toml")
     assert saved.parameters["errors"]["estimates"] is False
     monkeypatch.chdir(tmp_path)

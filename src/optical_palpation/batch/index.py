@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -16,6 +16,7 @@ from optical_palpation.batch.dispatch import Outcome
 from optical_palpation.batch.reading import Batch
 from optical_palpation.batch.table import CSV, PARQUET
 from optical_palpation.files import replacing
+from optical_palpation.present.terms import percent, rounded
 from optical_palpation.runtime import software_version
 
 INDEX = "index.html"
@@ -24,7 +25,7 @@ _COLOURS = "viridis_r"
 _COLUMNS = {
     "window_force_mN": "window force (mN)",
     "mean_axial_stress_kPa": "mean axial stress (kPa)",
-    "first_percentile_axial_stress_kPa": "99 % above (kPa)",
+    "first_percentile_axial_stress_kPa": "99 % of the map above (kPa)",
     "algebraic_mean_axial_stress_kPa": "mean, algebraic (kPa)",
     "mean_loaded_thickness_mm": "mean thickness (mm)",
     "in_contact_fraction": "in contact",
@@ -35,6 +36,11 @@ _COLUMNS = {
 #: Those of them that are there only with a sample in the model.
 _OF_SAMPLE = ("median_sample_youngs_modulus_kPa",)
 _PERCENT = ("in_contact_fraction", "filled_fraction")
+#: What the error of a column is called.
+_ERRORS = {
+    "window_force_mN": "force_error_mN",
+    "mean_axial_stress_kPa": "mean_axial_stress_error_kPa",
+}
 
 
 def write_index(batch: Batch, outcomes: Sequence[Outcome]) -> Path:
@@ -67,7 +73,7 @@ def write_index(batch: Batch, outcomes: Sequence[Outcome]) -> Path:
                 "message": outcome.message if outcome else "",
                 "warnings": row.get("warnings", ""),
                 "settings": [_shown(scan.overrides.get(key)) for key in settings],
-                "numbers": [_number(key, row.get(key)) for key in columns],
+                "numbers": [_number(key, row) for key in columns],
                 "picture": None if picture is None else _picture(picture, low, high),
                 "link": _link(batch.folder, scan.name),
             }
@@ -81,8 +87,8 @@ def write_index(batch: Batch, outcomes: Sequence[Outcome]) -> Path:
             rows=rows,
             settings=settings,
             columns=list(columns.values()),
-            low=f"{low:.3g}",
-            high=f"{high:.3g}",
+            low=rounded(low),
+            high=rounded(high),
             scale=_picture(np.linspace(low, high, 128, dtype=np.float32)[None], low, high),
             counts={
                 status: sum(row["status"] == status for row in rows)
@@ -112,11 +118,13 @@ def _shown(value: Any) -> dict[str, Any]:
     return {"text": f"{value:g}" if number else str(value), "sort": value}
 
 
-def _number(key: str, value: Any) -> dict[str, Any]:
+def _number(key: str, row: Mapping[str, Any]) -> dict[str, Any]:
+    value = row.get(key)
     if value is None:
         return {"text": "", "sort": ""}
-    text = f"{value:.1%}" if key in _PERCENT else f"{value:.4g}"
-    return {"text": text, "sort": value}
+    if key in _PERCENT:
+        return {"text": percent(value), "sort": value}
+    return {"text": rounded(value, row.get(_ERRORS.get(key, "")), digits=4), "sort": value}
 
 
 def _picture(values: NDArray[np.float32], low: float, high: float) -> str:

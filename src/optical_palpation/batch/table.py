@@ -59,6 +59,8 @@ def table_of(batch: Batch, outcomes: Sequence[Outcome]) -> pd.DataFrame:
             }
         )
     table = pd.DataFrame(rows)
+    counts = [name for name in ("elements", "newton_iterations") if name in table]
+    table = table.astype(dict.fromkeys(counts, "Int64"))  # a scan that failed has none
     late = [c for c in ("seconds", "warnings", "software_version", "study") if c in table]
     late += [column for column in table if str(column).endswith("_sha256")]
     return table[[column for column in table if column not in late] + late]

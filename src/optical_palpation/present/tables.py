@@ -11,6 +11,7 @@ import xarray as xr
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic
 from optical_palpation.present.profiles import on_layer
+from optical_palpation.present.summary import force_error, mean_stress_error, of_mesh_alone
 from optical_palpation.present.terms import plain, rounded
 
 
@@ -71,13 +72,20 @@ def _said(row: xr.Dataset, name: str) -> str:
 def result_columns(result: StressResult) -> dict[str, Any]:
     """Key figures of a result as entries of a table, units in the names of the columns.
 
-    Forces, mean and extremes of the axial stress by both methods, contact, what was interpolated,
-    and the parameters.
+    Forces, mean and extremes of the axial stress by both methods, errors of force and mean where
+    they are known, contact, what was interpolated, and the parameters.
     """
     maps, about = on_layer(result.maps), result.maps.attrs
     row: dict[str, Any] = {}
     for side in ("window", "sample"):
         row[f"{side}_force_mN"] = float(about[f"{side}_force_mN"])
+    if not of_mesh_alone(about):
+        for key, error in (
+            ("force_error_mN", force_error(about)),
+            ("mean_axial_stress_error_kPa", mean_stress_error(maps)),
+        ):
+            if error is not None:
+                row[key] = error
     for method, name in (("", "axial_stress"), ("algebraic_", "algebraic_axial_stress")):
         stress = maps[name].values
         row[f"{method}mean_axial_stress_kPa"] = float(np.nanmean(stress))
@@ -90,8 +98,7 @@ def result_columns(result: StressResult) -> dict[str, Any]:
         ):
             known = maps[name].values[np.isfinite(maps[name].values)]
             row[column] = float(np.median(known)) if known.size else np.nan
-        for key in ("force_error_mN", "compression_mm"):
-            row[key] = float(about.get(key, np.nan))
+        row["compression_mm"] = float(about.get("compression_mm", np.nan))
     state = maps["contact_state"].values
     row["in_contact_fraction"] = float(np.mean(state != ContactState.OPEN))
     row["filled_fraction"] = float(about.get("filled_share", 0.0))
@@ -102,7 +109,8 @@ def result_columns(result: StressResult) -> dict[str, Any]:
     for key in ("window_contact", "sample_contact"):
         if key in about:
             row[key] = str(about[key])
-    for key in ("elements", "newton_iterations"):
-        if key in about:
-            row[key] = int(np.ravel(about[key])[0])
+    if "elements" in about:
+        row["elements"] = int(np.prod(about["elements"]))
+    if "newton_iterations" in about:
+        row["newton_iterations"] = int(about["newton_iterations"])
     return row
