@@ -96,15 +96,28 @@ def _transform(path: Path, header: Any) -> Any:
     """Where slope and intercept stand: in the header, or in what all frames share."""
     if header.get("ModalityLUTSequence"):
         raise InputError(f"{path}: samples are coded by a table (Modality LUT), not supported")
-    for frame in header.get("PerFrameFunctionalGroupsSequence") or ():
+    for frame in _items(path, header, "PerFrameFunctionalGroupsSequence"):
         if frame.get("PixelValueTransformationSequence"):
             raise InputError(f"{path}: every frame has a scale of its own, which is not supported")
-    groups = header.get("SharedFunctionalGroupsSequence")
-    if groups is not None and len(groups) == 1:
-        items = groups[0].get("PixelValueTransformationSequence")
-        if items is not None and len(items) == 1:
-            return items[0]
-    return header
+    return _shared(path, header, "PixelValueTransformationSequence")
+
+
+def _shared(path: Path, header: Any, name: str) -> Any:
+    """What all frames share of a kind; the header if it holds no such item."""
+    groups = _items(path, header, "SharedFunctionalGroupsSequence")
+    items = _items(path, groups[0], name) if len(groups) == 1 else []
+    return items[0] if len(items) == 1 else header
+
+
+def _items(path: Path, header: Any, name: str) -> list[Any]:
+    """Items of a sequence, none where it is absent."""
+    value = header.get(name)
+    if value is None:
+        return []
+    try:
+        return list(value)
+    except TypeError:
+        raise InputError(f"{path}: {name} is {value!r}: damaged") from None
 
 
 def _padding(path: Path, header: Any) -> tuple[float, float] | None:
@@ -118,11 +131,7 @@ def _padding(path: Path, header: Any) -> tuple[float, float] | None:
 
 def _stated(path: Path, header: Any, frames: int) -> Stated:
     """Take spacing from the frame's pixel measures, wherever the kind of image keeps them."""
-    measures = header
-    for sequence in ("SharedFunctionalGroupsSequence", "PixelMeasuresSequence"):
-        items = measures.get(sequence)
-        if items is not None and len(items) == 1:
-            measures = items[0]
+    measures = _shared(path, header, "PixelMeasuresSequence")
     rows, columns = _numbers(path, measures, "PixelSpacing", 2)
     (between,) = _numbers(path, measures, "SpacingBetweenSlices", 1)
     _check_positions(path, header, between)
@@ -133,8 +142,8 @@ def _stated(path: Path, header: Any, frames: int) -> Stated:
 
 def _check_positions(path: Path, header: Any, between: float | None) -> None:
     """Refuse frames that do not follow each other evenly, where the file tells their positions."""
-    groups = header.get("PerFrameFunctionalGroupsSequence") or ()
-    planes = [frame.get("PlanePositionSequence") for frame in groups]
+    groups = _items(path, header, "PerFrameFunctionalGroupsSequence")
+    planes = [_items(path, frame, "PlanePositionSequence") for frame in groups]
     if len(planes) < 2 or not all(planes):
         return
     at = [_numbers(path, plane[0], "ImagePositionPatient", 3) for plane in planes]
