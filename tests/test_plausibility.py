@@ -11,6 +11,7 @@ from optical_palpation.palpation import InputErrors, algebraic_result
 from optical_palpation.present import summarise
 from optical_palpation.study import (
     compute,
+    describe_inputs,
     read_study,
     run_study,
     stages,
@@ -105,6 +106,21 @@ def test_a_study_of_maps(here, old, new, words):
     study = read_study(make_study(here, MAPS.replace(old, new)))
     with pytest.raises(InputError, match=words):
         run_study(study)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("thickness = 0.42", "thickness = 0.2", "nothing is pressed"),
+        ("thickness = 0.42", "thickness = 5.0", "can be pressed to 7"),
+        ("c10 = 2.23", "c10 = 2230.0", "kPa on average"),
+    ],
+)
+def test_what_a_check_of_maps_tells_before_a_run(tmp_path, old, new, words):
+    assert old in MAPS
+    np.save(tmp_path / "pressed.npy", LOADED)
+    with pytest.raises(InputError, match=words):
+        describe_inputs(read_study(make_study(tmp_path, MAPS.replace(old, new))))
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from optical_palpation.errors import InputError
+from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.palpation.result import StressResult
+from optical_palpation.study.compute import algebraic_of, thickness_of
 from optical_palpation.study.inputs import (
     Unchanged,
+    by_side,
     facts,
     open_input,
     parameters,
@@ -80,6 +82,11 @@ def describe_inputs(study: Study) -> str:
             raise InputError(f"{study.file}, [{side}]: {error}") from error
     read_sample(study)
     check_study(study, inputs)
+    if not by_side(study):  # of maps alone the algebraic method costs nothing
+        try:
+            algebraic_of(study, thickness_of(study, {}))
+        except (InputError, MaterialError) as error:
+            raise type(error)(f"{study.file}: {error}") from error
     return ", ".join(said)
 
 

@@ -12,7 +12,9 @@ from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on
 
 # Median loaded over initial thickness outside this range is no compression but a wrong unit.
 _PLAUSIBLE_RATIO = (0.01, 100.0)
-# The same for the width of the layer over its thickness.
+# A lower one is more than any layer bears.
+_HARDEST_PRESSED = 0.1
+# Plausible widths of the layer over its thickness.
 _PLAUSIBLE_ASPECT = (0.1, 500.0)
 # Pixels further apart than this many thicknesses show nothing of a layer.
 _PLAUSIBLE_SPACING = 10.0
@@ -120,6 +122,11 @@ def _check_units(loaded: xr.DataArray, loaded_median: float, initial_median: flo
         raise InputError(
             f"loaded and initial thickness do not fit: {numbers}. Probably the initial thickness "
             "is in um: give it in mm; or the loaded thickness is in mm and was read as um"
+        )
+    if ratio < _HARDEST_PRESSED:
+        raise InputError(
+            f"loaded and initial thickness do not fit: {numbers}. No layer can be pressed to "
+            f"{ratio:.1%} of its thickness; check the initial thickness"
         )
     x0, x1, y0, y1 = layer_extent_of(loaded)
     for axis, width in (("x", x1 - x0), ("y", y1 - y0)):
