@@ -81,6 +81,7 @@ html_title = project
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
+html_sidebars = {"tutorial": []}  # a section of its own, with nothing to list
 html_theme_options = {
     "show_prev_next": True,
     "navigation_with_keys": False,
@@ -96,7 +97,7 @@ def _summary(line: re.Match[str]) -> str:
     for command in app.registered_commands:
         if (about := command.callback) and about.__name__ == line[1]:
             summary = (about.__doc__ or "").partition("\n")[0]
-            return f"* [`{line[1]}`](#optical-palpation-{line[1]}): {summary}"
+            return f"* [`{line[1]}`](#{line[1]}): {summary}"
     return line[0]
 
 
@@ -117,7 +118,9 @@ def _generate(_sphinx) -> None:
     named = ["--name", "optical-palpation", "--output", str(GENERATED / "command-line.md")]
     subprocess.run([sys.executable, *command, *named], check=True, stdout=subprocess.DEVNULL)
     page = GENERATED / "command-line.md"
-    page.write_text(re.sub(r"^\* `(\w+)`: .*$", _summary, page.read_text(), flags=re.M))
+    text = re.sub(r"^\* `(\w+)`: .*$", _summary, page.read_text(), flags=re.M)
+    # names that fit into the contents of the page
+    page.write_text(re.sub(r"^## `optical-palpation (\w+)`$", r"## `\1`", text, flags=re.M))
     template = GENERATED / "study.toml"
     template.unlink(missing_ok=True)
     write_template(template)

@@ -84,7 +84,7 @@ def test_reference_has_every_public_name_and_every_command(site):
         assert name == "__version__" or re.search(rf'href="[^"]*\.{name}"', table), name
     page = (site / "_generated" / "command-line.html").read_text()
     for command in app.registered_commands:
-        assert f'id="optical-palpation-{command.callback.__name__}"' in page
+        assert f'id="{command.callback.__name__}"' in page
 
 
 def test_site_needs_no_network(site):
