@@ -138,7 +138,7 @@ class Tour:
         shot = self.viewer.screenshot(canvas_only=False, flash=False)
         file = self.folder / f"{name}.png"
         picture = Image.fromarray(shot[..., :3])
-        picture.quantize(128, dither=Image.Dither.NONE).save(file, optimize=True)
+        picture.quantize(256, dither=Image.Dither.NONE).save(file, optimize=True)
         print(file)
 
 
