@@ -91,6 +91,15 @@ def test_extremes_errors_gaps_and_contrast():
     assert "contrast" not in region_statistics(maps, [region], background=None)
 
 
+def test_a_region_of_few_pixels_has_its_area():
+    at = 0.125 * np.arange(33)
+    maps = maps_of(lambda x, y: -2.0 + 0 * x, x=at, y=at)
+    for size in (0.1, 0.3, 0.8):
+        region = Region.rectangle("r", 1.2, 1.2 + size, 0.6, 0.6 + size)
+        found = region_statistics(maps, [region])
+        assert float(found["area"][0]) == pytest.approx(size**2, rel=0.02 if size < 0.3 else 0.01)
+
+
 def test_a_hole_is_no_part_of_a_region():
     outer = Region.rectangle("o", 1.5, 4.5, 0.0, 2.0).outlines[0]
     inner = Region.rectangle("i", 2.5, 3.5, 0.5, 1.5).outlines[0]

@@ -14,8 +14,10 @@ from optical_palpation.analysis.maps import check_map, pixel_size, plane_noise
 from optical_palpation.arguments import check_instance, explained, in_words, number, numbers
 from optical_palpation.errors import InputError
 
-#: Points along each side of a pixel by which the share of it that lies in an outline is counted.
+#: Points along each side of a pixel by which the share of it that lies in an outline is counted, at
+#: least; and along the longer side of a region, which may have few pixels.
 _POINTS = 8
+_ACROSS = 400
 #: Points along each side of a region that reaches beyond the map, to tell by how much.
 _SAMPLES = 200
 #: Directions of the polygon that stands for an ellipse.
@@ -230,14 +232,15 @@ class Region:
         columns = np.flatnonzero((x > x0 - size[1]) & (x < x1 + size[1]))
         if rows.size == 0 or columns.size == 0:
             return shares
-        within = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
+        count = max(_POINTS, _ACROSS // max(rows.size, columns.size))
+        within = (np.arange(count) + 0.5) / count - 0.5
         fine_y = (y[rows, None] + within * size[0]).ravel()
         fine_x = (x[columns, None] + within * size[1]).ravel()
         grid = np.stack(np.meshgrid(fine_x, fine_y), -1).reshape(-1, 2)
         inside = np.zeros(len(grid), bool)
         for outline in self.outlines:
             inside ^= points_in_poly(grid, outline)
-        blocks = inside.reshape(rows.size, _POINTS, columns.size, _POINTS)
+        blocks = inside.reshape(rows.size, count, columns.size, count)
         shares[np.ix_(rows, columns)] = blocks.mean(axis=(1, 3))
         return shares
 
