@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from optical_palpation.cli.options import Quiet, Threads
-from optical_palpation.cli.sample import sample
+from optical_palpation.cli.sample import SampleName, sample
 from optical_palpation.cli.study import run
 
 _CLOSING = """
@@ -31,7 +31,7 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Make the sample "relief", run its study, and compare the result with the truth."""
-    sample("relief", output, quiet)
+    sample(SampleName.RELIEF, output, quiet)
     run([output / "study.toml"], threads=threads, quiet=quiet)
     if quiet:
         return

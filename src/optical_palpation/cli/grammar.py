@@ -47,7 +47,7 @@ class Command(TyperCommand):
             missing = [
                 parameter
                 for parameter in self.get_params(ctx)
-                if parameter.required and given.get(str(parameter.name)) in (None, (), [])
+                if parameter.required and _is_missing(parameter, given.get(str(parameter.name)))
             ]
             if type(error).__name__ == "MissingParameter" and missing:
                 names = ", ".join(_name(parameter) for parameter in missing)
@@ -94,6 +94,11 @@ class Group(TyperGroup):
         rows = [(name, of.get_short_help_str(limit=200)) for name, of in commands if of is not None]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
+
+
+def _is_missing(parameter: Any, value: Any) -> bool:
+    """Whether a parameter was not given, for what versions of click and typer call nothing."""
+    return value in (None, (), []) or bool(parameter.value_is_missing(value))
 
 
 def _name(parameter: Any) -> str:

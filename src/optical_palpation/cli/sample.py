@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from optical_palpation.cli.options import Quiet
 
 
+class SampleName(StrEnum):
+    """A sample."""
+
+    PLATE = "plate"
+    RELIEF = "relief"
+    NODULE = "nodule"
+
+
 def sample(
     name: Annotated[
-        Literal["plate", "relief", "nodule"],
+        SampleName,
         typer.Argument(
             metavar="NAME",
             help="plate: flat and without friction, known in closed form. relief: a stiff sample, "
