@@ -4,7 +4,9 @@ import json
 
 import pytest
 
-from optical_palpation.reproduce.check import compared
+from optical_palpation.reproduce.check import check_pages, compared
+from optical_palpation.reproduce.page import Chapter, Page, write_page
+from optical_palpation.reproduce.record import Part, Row, Setting, run_part
 
 
 def record(ours, reference="1.5", tolerance=0.01, why=""):
@@ -82,3 +84,20 @@ def test_a_true_page_passes_and_a_changed_one_does_not(tmp_path, monkeypatch, ru
     assert run(*make[:-1], "--check")[0] == 5
     assert run("reproduce", "--output", "elsewhere", "--check")[0] == 2
     assert run(*make, "--check", "--again")[0] == 2
+
+
+def test_rows_that_need_data_are_left_out_without_them(tmp_path):
+    def make(setting):
+        rows = [Row("here", "always", "1", "1")]
+        return Part("How.", rows + [Row("there", "from data", "2", "2")] * bool(setting.data))
+
+    pages = [Page("page", "# Page", ("a", "b", "c", "d", "e"), {"part": Chapter("Part", make)})]
+    (tmp_path / "page").mkdir()
+    run_part("part", make, Setting(tmp_path / "page", False, tmp_path, print))
+    write_page(tmp_path, pages[0], {})
+    found = check_pages(tmp_path, pages)
+    assert found.numbers == 2
+    assert not found.differences
+    assert "1 of its rows need third-party data" in str(found.left_out["part"])
+    found = check_pages(tmp_path, pages, data=tmp_path)
+    assert (found.numbers, found.differences, found.left_out) == (4, {}, {})
