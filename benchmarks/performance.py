@@ -326,6 +326,8 @@ def difference(found: dict, reference: dict) -> dict:
 
 
 def machine(threads: int | None) -> dict:
+    from optical_palpation.runtime import software_version
+
     model = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -342,6 +344,7 @@ def machine(threads: int | None) -> dict:
         "python": platform.python_version(),
         "map": "coin" if COIN.exists() else "made",
         "date": time.strftime("%Y-%m-%d"),
+        "version": software_version(),
     }
 
 

@@ -93,7 +93,8 @@ def _machines(record: dict) -> str:
         text = (
             f"{m['processor']}, {m['cores']} cores ({m['threads']} threads), "
             f"{m['memory_bytes'] / 2**30:.0f} GiB, memory bandwidth {bandwidth}, "
-            f"Python {m['python']}, {m['date']}; load before the run {m['load_before']:.1f}"
+            f"Python {m['python']}, version {m.get('version', 'not recorded')}, {m['date']}; "
+            f"load before the run {m['load_before']:.1f}"
         )
         groups.setdefault(text, []).append(name)
     if len(groups) == 1:

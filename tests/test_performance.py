@@ -40,7 +40,7 @@ def test_the_larger_map_continues_the_measured_one():
 
 MACHINE = {
     "processor": "P", "cores": 4, "threads": 4, "memory_bytes": 2**34, "load_before": 0.1,
-    "bandwidth": 5e10, "python": "3.11", "map": "coin", "date": "2026-01-01",
+    "bandwidth": 5e10, "python": "3.11", "map": "coin", "date": "2026-01-01", "version": "0.1.0",
 }  # fmt: skip
 
 
