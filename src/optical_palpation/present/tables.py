@@ -79,16 +79,14 @@ def result_columns(result: StressResult) -> dict[str, Any]:
     row: dict[str, Any] = {}
     for side in ("window", "sample"):
         row[f"{side}_force_mN"] = float(about[f"{side}_force_mN"])
-    if not of_mesh_alone(about):
-        for key, error in (
-            ("force_error_mN", force_error(about)),
-            ("mean_axial_stress_error_kPa", mean_stress_error(maps)),
-        ):
-            if error is not None:
-                row[key] = error
+    complete = not of_mesh_alone(about)  # the error by the mesh is a part of the error
+    if complete and (error := force_error(about)) is not None:
+        row["force_error_mN"] = error
     for method, name in (("", "axial_stress"), ("algebraic_", "algebraic_axial_stress")):
         stress = maps[name].values
         row[f"{method}mean_axial_stress_kPa"] = float(np.nanmean(stress))
+        if complete and not method and (error := mean_stress_error(maps)) is not None:
+            row["mean_axial_stress_error_kPa"] = error
         row[f"{method}first_percentile_axial_stress_kPa"] = float(np.nanpercentile(stress, 1))
         row[f"{method}most_compressed_axial_stress_kPa"] = float(np.nanmin(stress))
     if "sample_youngs_modulus" in maps:
