@@ -33,8 +33,8 @@ CAVITATION = 5 / 6
 #: What a result without a sample in the model does not know.
 SOFT_SAMPLE = (
     "the sample is taken not to move sideways: one as soft as the layer spreads, and its true "
-    "stress may be half of this. Give its --sample-thickness, --compression and --plate-friction "
-    "([sample] of a study) to have it in the model"
+    "stress may be half of this. Its thickness and the travel of the plate put it into the model "
+    "([sample] of a study, or --sample-thickness and --compression)"
 )
 
 

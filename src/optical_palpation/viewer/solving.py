@@ -19,7 +19,12 @@ from qtpy.QtWidgets import (
 
 from optical_palpation.errors import OpticalPalpationError
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.present.summary import force_error, mean_stress_error, of_mesh_alone
+from optical_palpation.present.summary import (
+    force_error,
+    mean_stress_error,
+    of_mesh_alone,
+    of_unknown_sample,
+)
 from optical_palpation.present.terms import rounded, term
 from optical_palpation.study import warnings_about
 from optical_palpation.viewer.layers import map_layers, region_layer
@@ -230,4 +235,5 @@ def _in_words(result: StressResult) -> str:
     points = f"{stress.sizes['y']} x {stress.sizes['x']} points"
     figures = f"force {force} mN, mean axial stress {rounded(stress.mean(), error)} kPa"
     figures += f"{' (± by the mesh alone)' * of_mesh_alone(maps.attrs)}, {points}"
-    return "\n".join([figures, *(f"Warning: {text}" for text in warnings_about(result))])
+    warnings = [*warnings_about(result), of_unknown_sample(maps)]
+    return "\n".join([figures, *(f"Warning: {text}" for text in warnings if text)])
