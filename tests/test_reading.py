@@ -380,7 +380,9 @@ def test_uniaxial_tables_that_are_refused(tmp_path, header, columns, options, me
 def test_decimal_commas_are_named(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text("strain;stress_kPa\n" + "".join(f"-0,{n};-{n},5\n" for n in range(1, 9)))
-    with pytest.raises(InputError, match="write decimal points"):
+    with pytest.raises(
+        InputError, match=r"column .strain., data row 1 holds .-0,1.*write decimal points"
+    ):
         read_uniaxial_test(path)
 
 

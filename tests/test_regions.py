@@ -259,7 +259,7 @@ def outline(row, header="name,x_mm,y_mm"):
         (outline("7,a,{x},{y}"), "4 cells under a header of 3"),
         (outline("b,{x},{y}") + outline(",{x},{y}", "# no name"), "line 7: has no name"),
         (outline("a,{x},{y},{y}", "name,x_mm,y_mm,x_mm"), "2 columns are called 'x_mm'"),
-        (outline("a;{x},5;{y},5", "name;x_mm;y_mm"), "found name a, x_mm 2,5"),
+        (outline("a;{x},5;{y},5", "name;x_mm;y_mm"), "write decimal points"),
         (outline("a,{x} mm,{y}"), "'2 mm', not a number"),
         (outline("a,{x},{y}", "name,x_um,y_um"), "needs the columns name, x_mm, y_mm"),
     ],

@@ -34,6 +34,7 @@ _MAX_REMARKS = 10_000
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 # What Octave, and NumPy's users after its manual, write above each of several arrays.
 _ONE_ARRAY = re.compile(r"\s*(?:name:|new slice)", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9.]*,[0-9]+")
 _UNIT = re.compile(r"\b(?:length[ _]?)?units?\s*[:=]\s*([^\s,;]+)", re.IGNORECASE)
 
 
@@ -240,7 +241,9 @@ def read_columns(path: Path) -> Columns:
             raise InputError(
                 f"{path}, line {row.number}: {len(row.cells)} cells under a header of {len(names)}"
             )
-    if rows and any(rows[0].cells) and all(_number(c) is None or not c for c in rows[0].cells):
+    first = rows[0].cells if rows else []
+    comma = any(map(_DECIMAL_COMMA.fullmatch, first))
+    if any(first) and not comma and all(_number(c) is None or not c for c in first):
         names = [f"{name} {unit}".strip() for name, unit in zip(names, rows[0].cells, strict=True)]
         rows = rows[1:]
     return Columns(path, names, rows)
@@ -368,7 +371,7 @@ def _row(path: Path, line: Line) -> NDArray[np.float64]:
     values = [_number(cell) for cell in line.cells]
     if None in values:
         column = values.index(None)
-        decimal_comma = re.fullmatch(r"[-+]?[0-9.]*,[0-9]+", line.cells[column])
+        decimal_comma = _DECIMAL_COMMA.fullmatch(line.cells[column])
         raise InputError(
             f"{path}, line {line.number}, column {column + 1}: {line.cells[column][:40]!r} is no "
             "number" + ("; write decimal points, no commas" if decimal_comma else "")
