@@ -110,7 +110,7 @@ def main() -> None:
     def solve(size: float, path: Path) -> None:
         took = command(
             *("stress", loaded, *layer, *MATERIAL, *FRICTION, "--element-size", size),
-            *("--no-input-errors", "--output", path, "--quiet"),
+            *("--no-estimates", "--output", path, "--quiet"),
         )
         elements = np.prod(read_result(path).maps.attrs["elements"])
         report(f"whole at {size:g} mm, {elements:,} elements", took)
