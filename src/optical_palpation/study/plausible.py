@@ -20,9 +20,7 @@ from optical_palpation.study.compute import thickness_of
 from optical_palpation.study.inputs import by_side, earlier_loads, modelled_sample
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
 from optical_palpation.thickness import read_thickness_map
-
-#: Of the width of a map, by which an extent may reach beyond it.
-_SLACK = 1e-3
+from optical_palpation.thickness.frames import EXTENT_SLACK
 
 
 def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
@@ -155,7 +153,7 @@ def _layer(study: Study, field: tuple[float, ...]) -> tuple[float, float, float,
     """x0, x1, y0, y1 of the part of the loaded map that the layer covers."""
     given = study.layer.extent or field
     x0, x1, y0, y1 = given
-    slack = _SLACK * max(field[1] - field[0], field[3] - field[2])
+    slack = EXTENT_SLACK * max(field[1] - field[0], field[3] - field[2])
     beyond = max(field[0] - x0, x1 - field[1], field[2] - y0, y1 - field[3])
     if beyond > slack or not (x0 < x1 and y0 < y1):
         raise InputError(

@@ -15,6 +15,8 @@ from optical_palpation.errors import InputError
 from optical_palpation.volume.labels import axis_of
 from optical_palpation.volume.units import MM, stated_unit
 
+# Of the width of a map, by which the extent of the layer may reach beyond it: rounding.
+EXTENT_SLACK = 1e-6
 # Where less of the layer is measured, most of what is computed rests on pixels that are made up.
 _LEAST_MEASURED = 0.5
 # Numbers that programs write where they have none. Those below zero are refused anyhow.
@@ -327,7 +329,7 @@ def _layer_extent(
     if given is None:
         return whole
     x0, x1, y0, y1 = extent = _numbers("layer extent", given, 4)
-    slack = 1e-6 * max(whole[1] - whole[0], whole[3] - whole[2])
+    slack = EXTENT_SLACK * max(whole[1] - whole[0], whole[3] - whole[2])
     if x0 >= x1 or y0 >= y1:
         raise InputError(f"layer extent must be x0 < x1 and y0 < y1, not {given!r}")
     if min(x0 - whole[0], y0 - whole[2]) < -slack or max(x1 - whole[1], y1 - whole[3]) > slack:
