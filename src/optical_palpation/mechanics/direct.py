@@ -79,7 +79,7 @@ def _displacement(matrix: sp.csr_matrix, rhs: Vector) -> Vector:
         solution[by_node] = factors.solve(flat.astype(float)[by_node, None])[:, 0]
         return solution
 
-    return sparse_solve(matrix, rhs.ravel(), dissected).reshape(rhs.shape)
+    return sparse_solve(matrix, rhs.ravel(), dissected, symmetric_pattern=True).reshape(rhs.shape)
 
 
 def _pressure_blocks(system: NewtonSystem) -> tuple[sp.csr_matrix, sp.csr_matrix]:
@@ -142,10 +142,15 @@ def sparse_solve(
     matrix: sp.csr_matrix,
     rhs: Vector,
     otherwise: Callable[[sp.csr_matrix, Vector], Vector] = _by_minimum_degree,
+    symmetric_pattern: bool = False,
 ) -> Vector:
-    """Solve one sparse linear system with MKL PARDISO, or ``otherwise`` where there is none."""
+    """Solve one sparse linear system with MKL PARDISO, or ``otherwise`` where there is none.
+
+    Where the entries stand symmetrically, whatever their values, that takes three quarters of the
+    time.
+    """
     try:
-        solver = pardiso()
+        solver = pardiso(mtype=1 if symmetric_pattern else 11)
     except ImportError:
         return otherwise(matrix, rhs)
     try:
@@ -167,17 +172,20 @@ def pardiso(**options: Any) -> Any:
 
 def sparse_matrix(stencil: Vector, free: NDArray[np.bool_]) -> sp.csr_matrix:
     """Matrix of a constrained block stencil, with a unit-like diagonal where it is constrained."""
-    rows, columns, source = _pattern(free.shape[1:])
-    matrix = sp.csr_matrix(
-        (stencil.reshape(-1)[source].astype(float), (rows, columns)), shape=(free.size, free.size)
-    )
-    scale = np.abs(matrix.diagonal()).mean() or 1.0
-    return sp.csr_matrix(matrix + sp.diags_array(np.where(free.ravel(), 0.0, scale)))
+    rows, columns, source, diagonal = _pattern(free.shape[1:])
+    flat = free.ravel()
+    entries = stencil.reshape(-1)[source].astype(float)
+    scale = np.abs(entries[diagonal]).mean() or 1.0
+    entries[diagonal[~flat]] += scale
+    kept = flat[rows] & flat[columns]
+    kept[diagonal] = True
+    begins = np.concatenate([[0], np.cumsum(np.bincount(rows[kept], minlength=flat.size))])
+    return sp.csr_matrix((entries[kept], columns[kept], begins), shape=(flat.size, flat.size))
 
 
 def dense_matrix(stencil: Vector, free: NDArray[np.bool_]) -> Vector:
     """Return ``sparse_matrix`` as an array."""
-    rows, columns, source = _pattern(free.shape[1:])
+    rows, columns, source, _ = _pattern(free.shape[1:])
     matrix = np.zeros((free.size, free.size), stencil.dtype)
     matrix[rows, columns] = stencil.reshape(-1)[source]
     diagonal = np.einsum("ii->i", matrix)
@@ -186,11 +194,14 @@ def dense_matrix(stencil: Vector, free: NDArray[np.bool_]) -> Vector:
 
 
 @lru_cache(maxsize=4)
-def _pattern(node_shape: tuple[int, int, int]) -> tuple[NDArray, NDArray, NDArray]:
-    """Rows, columns and positions in the stencil of all entries that lie inside the grid."""
+def _pattern(node_shape: tuple[int, int, int]) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Rows, columns and positions in the stencil of all entries that lie inside the grid.
+
+    They come row by row, each from left to right; the last array says which are the diagonal.
+    """
     nz1, ny1, nx1 = node_shape
-    node = np.arange(nz1 * ny1 * nx1).reshape(node_shape)
-    k, j, i = np.indices(node_shape)
+    node = np.arange(nz1 * ny1 * nx1, dtype=np.int32).reshape(node_shape)
+    k, j, i = np.indices(node_shape, np.int32)
     rows, columns, source = [], [], []
     for m in range(27):
         kk, jj, ii = k + m // 9 - 1, j + (m // 3) % 3 - 1, i + m % 3 - 1
@@ -201,5 +212,8 @@ def _pattern(node_shape: tuple[int, int, int]) -> tuple[NDArray, NDArray, NDArra
             for d in range(3):
                 rows.append(c * node.size + here)
                 columns.append(d * node.size + there)
-                source.append((start + 3 * c + d) * nx1 + i[inside])
-    return np.concatenate(rows), np.concatenate(columns), np.concatenate(source)
+                source.append((start + 3 * c + d).astype(np.intp) * nx1 + i[inside])
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    order = np.lexsort((column, row))
+    row, column = row[order], column[order]
+    return row, column, np.concatenate(source)[order], np.flatnonzero(row == column)
