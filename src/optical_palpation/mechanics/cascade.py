@@ -25,6 +25,7 @@ from .neighbours import Neighbours
 from .newton import Balance, LinearSolver, LoadedLayer, Solvers, equilibrate
 from .path import LoadNotReached, Path, StepControl
 from .problem import LayerProblem, LayerState
+from .untangle import untangled
 
 Array = NDArray[np.float64]
 
@@ -39,10 +40,16 @@ _PATH_SHARE, _PATH_ELEMENTS = 1 / 6, (3000, 16000)
 #: Elements (z, y, x) from which on a grid is made coarser along an axis.
 _HALVED = (4, 6, 6)
 #: Newton iterations after which a layer that was carried to a grid of at most so many elements, and
-#: has not come to rest, is loaded on that grid, which takes it seconds there.
+#: has not come to rest, is loaded on that grid, which takes it seconds there; as many as its load
+#: has taken on the coarse grid if those are more, since it will not take less here.
 _QUICK = (30, 30_000)
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
+#: Share of its smallest J that a layer must keep when it is carried to a finer grid.
+_KEPT = 0.5
+#: What is as good as at rest on a coarser grid, if it came there against drag: what is left is less
+#: than what the next grid adds.
+_RESTING = 1000.0
 
 
 @dataclass
@@ -120,10 +127,14 @@ def prolong(state: LayerState, coarse: LayerProblem, fine: LayerProblem) -> Laye
         return np.concatenate([face.reshape(2, 2, -1), sides], axis=-1)
 
     u = target.interpolate_from(source, state.u)
+    p = target.interpolate_cells_from(source, state.p)
+    least = _KEPT * coarse.body.forces(state.u, state.p).min_jacobian
+    if fine.body.forces(u, p).min_jacobian < least:
+        u = untangled(fine.body, u, least)
     return LayerState(
         load=state.load,
         u=u,
-        p=target.interpolate_cells_from(source, state.p),
+        p=p,
         slip=at_contact(held_fast(slip_coordinate(coarse, state))),
         anchor=contact_nodes(u[:2]),
         normal_force=np.maximum(target.interpolate_from(source, pressure), 0.0) * target.areas,
@@ -168,6 +179,9 @@ def solve(
     def wanted(level: LayerProblem) -> Tolerances:
         return tolerances if level is problem else coarser_grid
 
+    def resting(level: LayerProblem) -> Tolerances | None:
+        return None if level is problem else relaxed(least, _RESTING)
+
     def balanced(level: LayerProblem, state: LayerState) -> LayerState | None:
         """Bring a state near full load into equilibrium; None where it is too far away."""
         report = partial(on_iteration, level, 1.0) if on_iteration else None
@@ -183,7 +197,9 @@ def solve(
         """Let a loaded layer come to rest; None where it does not, or takes long."""
         report = partial(on_iteration, level) if on_iteration else None
         layer = LoadedLayer(level, solvers(level))
-        path = Path(layer, wanted(level), coarser_grid, state, control, report)
+        path = Path(
+            layer, wanted(level), coarser_grid, state, control, report, resting=resting(level)
+        )
         try:
             path.settle(allowed)
         except LoadNotReached:
@@ -200,10 +216,11 @@ def solve(
     state: LayerState | None = None
     coarser: tuple[LayerProblem, LayerState] | None = None
     levels = grids(problem) if cascade else [problem]
+    loaded_in = 0
     for n in reversed(range(len(levels))):
         level = levels[n]
         coarser, carried = None, None
-        allowed = _QUICK[0] if level.grid.n_elements <= _QUICK[1] else None
+        allowed = max(_QUICK[0], loaded_in) if level.grid.n_elements <= _QUICK[1] else None
         if state is not None:
             coarser = levels[n + 1], state
             carried = prolong(state, levels[n + 1], level)
@@ -217,9 +234,12 @@ def solve(
             if beside:
                 beside.begin(level, rest, make_solver(level, solver))
             layer = LoadedLayer(level, solvers(level))
-            path = Path(layer, wanted(level), on_the_way, rest, control, report)
+            path = Path(
+                layer, wanted(level), on_the_way, rest, control, report, resting=resting(level)
+            )
             try:
                 path.follow(full, beside=beside)
+                loaded_in = path.spent
             except LoadNotReached:
                 if beside:
                     beside.stop("the load was not reached")

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 _FOLLOWED, _CARRIED = 250, 80
 #: Increment of the load below which drag takes over.
 _SNAP = 0.02
+#: Failures in a row, at ever smaller increments, after which drag takes over, too.
+_FAILURES = 2
 #: Snaps after which the drag stays until the full load is reached: there are always more.
 _SNAPS = 1
 #: Viscosity, in the ``stiffness`` of what is loaded: at first, the least and the most. It is halved
@@ -182,6 +184,9 @@ class Path(Generic[AnyState]):
         the linear solver.
     before
         The state accepted before the last one.
+    resting
+        When bodies that came to the full load against drag are as good as at rest; by default as
+        ``tolerances``.
     record
         (load, Newton iterations) of all that were accepted.
     spent
@@ -195,6 +200,7 @@ class Path(Generic[AnyState]):
     control: StepControl = field(default_factory=StepControl)
     report: Callable[[float, int, Any, int], None] | None = None
     before: AnyState | None = None
+    resting: Tolerances | None = None
     record: list[tuple[float, int]] = field(default_factory=list, init=False)
     spent: int = field(default=0, init=False)
 
@@ -226,7 +232,7 @@ class Path(Generic[AnyState]):
         ------
         LoadNotReached
         """
-        step, snaps = self.control.first, 0
+        step, snaps, failed = self.control.first, 0, 0
         ends, kept = sorted({*stops, target}), list[AnyState]()
         while self.state.load < target:
             start = self.state.load
@@ -243,18 +249,21 @@ class Path(Generic[AnyState]):
                     raise self._stopped(failure) from None
                 smaller = 0.5 * (load - start)
                 step = max(_SNAP, smaller)
-                if smaller >= _SNAP:
+                failed += 1
+                if smaller >= _SNAP and failed < _FAILURES:
                     continue
                 if beside:
                     beside.stop(f"at {start:.0%} of the load the layer snaps or slides")
                 snaps += 1
                 self._creep(end, smaller, _FOLLOWED, stay=snaps > _SNAPS)
+                failed = 0
                 if self.state.load in stops:
                     kept.append(self.state)
                 continue
             if load in stops:
                 kept.append(now.state)
             self._accept(self.loaded.remember(now.state) if load < 1.0 else now.state, count)
+            failed = 0
             if beside:
                 beside.load(self.state)
             if count <= self.control.easy:
@@ -329,7 +338,7 @@ class Path(Generic[AnyState]):
             pairs = zip(bound, change, strict=True)
             bound = [np.maximum(then + part * by, 0.0) for then, by in pairs]
             rest = loaded.balance(self.state)
-            if met(rest, self.tolerances):
+            if met(rest, self.resting or self.tolerances):
                 return
             wanted = self._tenth(rest.force_error)
             held += 1
