@@ -58,7 +58,7 @@ def impatient(tolerances: Tolerances) -> Tolerances:
 
     More iterations than these, or more of the linear solver, cost a lot on a fine grid.
     """
-    return replace(tolerances, patience=4, krylov=30)
+    return replace(tolerances, patience=5, krylov=30)
 
 
 class Iterate(Protocol):
@@ -140,7 +140,7 @@ def iterate(
         errors.append(now.force_error)
         imbalances.append(now.imbalance)
         patience = tolerances.patience
-        if iteration >= patience and errors[-1] > 0.3 * errors[-1 - patience]:
+        if iteration >= patience and min(errors[-patience:]) > 0.3 * errors[-1 - patience]:
             raise NotConverged("Newton's method stagnates")
         if iteration > 0 and met(now, tolerances):
             return now, iteration
