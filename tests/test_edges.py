@@ -62,7 +62,7 @@ def test_the_coarse_comparison_finds_what_finer_grids_do(rough):
     found = rough["free"].maps["edge_influence"]
     assert found.attrs["comment"].count("padded") == 1
     assert rough["free"].maps.attrs["edge_influence_force"] == pytest.approx(
-        forces["padded"] / forces["free"] - 1, rel=0.1
+        forces["padded"] / forces["free"] - 1, rel=0.15
     )
     assert rough["padded"].maps.attrs["edge_influence_force"] == pytest.approx(
         forces["free"] / forces["padded"] - 1, rel=0.1

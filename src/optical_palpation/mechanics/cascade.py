@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 #: How much further from balance than the last equilibrium others may be: the full load on coarser
 #: grids, and smaller loads. Where the last one is loose these are not: they would end on other
 #: branches.
-_COARSER, _ON_THE_WAY = 100.0, 1000.0
+_COARSER, _ON_THE_WAY = 100.0, 300.0
 #: The load is followed on a grid of at most this share of the finest one's elements: it must not
 #: take longer than the finest. Below the first number that is not worth while; beyond the second,
 #: where a path begins does not change the result.

@@ -19,6 +19,8 @@ Report = Callable[[Stack, float, Balance], None]
 
 #: How much further from balance an equilibrium on the way may be.
 _ON_THE_WAY = 30.0
+#: Load increments.
+_CONTROL = StepControl(largest=0.3)
 #: Fraction of the full load at which a solution changes meshes. Friction depends on the path, and
 #: what happens late, at the free edges above all, depends on the mesh.
 _HANDOVER = 0.25
@@ -92,7 +94,7 @@ def _path(
 
     loaded = LoadedStack(stack, make_solver(stack))
     loose = relaxed(TOLERANCES, _ON_THE_WAY)
-    return Path(loaded, TOLERANCES, loose, state, control or StepControl(), on_iteration, before)
+    return Path(loaded, TOLERANCES, loose, state, control or _CONTROL, on_iteration, before)
 
 
 def _carried(path: Path[State], coarse: Stack, fine: Stack, report: Report | None) -> Path[State]:
@@ -118,7 +120,7 @@ def _carried(path: Path[State], coarse: Stack, fine: Stack, report: Report | Non
         tuple(p - d for p, d in zip(state.p, step_p, strict=True)),
         tuple(n - d for n, d in zip(state.forces, step_n, strict=True)),
     )
-    path = _path(fine, state, report, StepControl(first=StepControl.largest), before)
+    path = _path(fine, state, report, replace(_CONTROL, first=_CONTROL.largest), before)
     path.record.append((state.load, count))
     return path
 
