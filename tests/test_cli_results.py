@@ -275,9 +275,12 @@ def test_check_reads_everything_and_writes_nothing(here, run, told):
     assert "loaded map of 41 x 31 pixels" in out
     assert "WARNING" not in out
     assert told == []
-    status, out, _ = run("run", "study.toml", "--check", "--set", "material.c10=2230")
+    status, out, _ = run("run", "study.toml", "--check", "--set", "material.c10=1000")
     assert status == 0
     assert "WARNING: study.toml, [material]: the layer is as stiff as hard rubber" in out
+    status, _, err = run("run", "study.toml", "--check", "--set", "material.c10=2230")
+    assert status == 2
+    assert "coefficients in Pa" in err
     (here / "map.npy").write_bytes(b"damaged")
     status, _, err = run("run", "study.toml", "--check")
     assert status == 2

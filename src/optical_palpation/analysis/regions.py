@@ -232,7 +232,9 @@ class Region:
         columns = np.flatnonzero((x > x0 - size[1]) & (x < x1 + size[1]))
         if rows.size == 0 or columns.size == 0:
             return shares
-        count = max(_POINTS, _ACROSS // max(rows.size, columns.size))
+        count = _POINTS
+        while count * max(rows.size, columns.size) < _ACROSS:  # halves of pixels stay halves
+            count *= 2
         within = (np.arange(count) + 0.5) / count - 0.5
         fine_y = (y[rows, None] + within * size[0]).ravel()
         fine_x = (x[columns, None] + within * size[1]).ravel()
