@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 from threadpoolctl import threadpool_limits
 
+from .elements import corner_nodes
 from .factors import Factors
 from .system import NewtonSystem, RightHandSide, with_prescribed
 
@@ -89,8 +90,7 @@ def _pressure_blocks(system: NewtonSystem) -> tuple[sp.csr_matrix, sp.csr_matrix
     element = np.arange(system.volume.size).reshape(cells)
     rows, columns, values = [], [], []
     for a in range(8):
-        first = a >> 2, (a >> 1) & 1, a & 1
-        at = tuple(slice(s, s + n) for s, n in zip(first, cells, strict=True))
+        at = corner_nodes(a, cells)
         for c in range(3):
             rows.append(node[c][at].ravel())
             columns.append(element.ravel())

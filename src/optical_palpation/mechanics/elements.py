@@ -75,6 +75,13 @@ def _shape_gradients() -> np.ndarray:
 GRADIENTS = _shape_gradients()
 
 
+def corner_nodes(corner: int, elements: tuple[int, ...]) -> tuple[slice, slice, slice]:
+    """Where the nodes are that are a corner, 4 z + 2 y + x, of each of (nz, ny, nx) elements."""
+    z, y, x = corner >> 2, (corner >> 1) & 1, corner & 1
+    nz, ny, nx = elements
+    return slice(z, z + nz), slice(y, y + ny), slice(x, x + nx)
+
+
 @nb.njit(cache=True)
 def internal_force(nodes, u, p, factor, law, dn, force, volume, volume_ref, min_jacobian):
     """Internal nodal force (mN), deformed and reference element volumes (mm^3).

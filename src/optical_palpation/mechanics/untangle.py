@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, uniform_filter1d
 
 from .body import Body
-from .elements import GRADIENTS
+from .elements import GRADIENTS, corner_nodes
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def untangled(body: Body, u: Array, least: float) -> Array:
         if not bad.any():
             break
         for corner in range(8):
-            touched[_at(corner, bad.shape)] |= bad
+            touched[corner_nodes(corner, bad.shape)] |= bad
         if step % _WIDENED == 0:
             touched = binary_dilation(touched)
         means = [uniform_filter1d(u, 3, axis=axis, mode="nearest") for axis in (1, 2, 3)]
@@ -54,10 +54,10 @@ def smallest_jacobians(body: Body, u: Array) -> Array:
     nz, ny, nx = body.grid.shape
     smallest = np.full((nz, ny, nx), np.inf)
     for k in range(nz):  # one layer of elements after the other: a large grid has millions
-        layers = [nodes[:, k : k + 2] for nodes in (body.nodes, body.nodes + u)]
+        nodes = body.nodes[:, k : k + 2]
         before, after = (
-            np.stack([layer[:, *_at(corner, (1, ny, nx))] for corner in range(8)])
-            for layer in layers
+            np.stack([layer[:, *corner_nodes(corner, (1, ny, nx))] for corner in range(8)])
+            for layer in (nodes, nodes + u[:, k : k + 2])
         )
         for gradients in GRADIENTS:
             ratio = _volumes(gradients, after) / _volumes(gradients, before)
@@ -69,10 +69,3 @@ def _volumes(gradients: Array, corners: Array) -> Array:
     """Volume per reference volume at a Gauss point of elements with these corners, (8, 3, ...)."""
     mapped = np.tensordot(gradients, corners, (0, 0))
     return np.linalg.det(np.moveaxis(mapped, (0, 1), (-2, -1)))
-
-
-def _at(corner: int, elements: tuple[int, ...]) -> tuple[slice, slice, slice]:
-    """Where the nodes are that are a corner (4 z + 2 y + x) of each of (nz, ny, nx) elements."""
-    z, y, x = corner >> 2, (corner >> 1) & 1, corner & 1
-    nz, ny, nx = elements
-    return slice(z, z + nz), slice(y, y + ny), slice(x, x + nx)

@@ -106,6 +106,24 @@ class Reader(Protocol):
         """Find the arrays, unread; those that are not `wanted` may be left out."""
 
 
+def unit_texts(attributes: Mapping[str, Any], group: str) -> dict[str, str]:
+    """Attributes of a group that state a unit, by their path in the file."""
+    said = {key: text for key, text in attributes.items() if is_unit_key(key)}
+    return {f"{group}/{key}".lstrip("/"): str(text) for key, text in said.items()}
+
+
+def unit_texts_above(
+    name: str, attributes_of: Callable[[str], Mapping[str, Any]]
+) -> dict[str, str]:
+    """``unit_texts`` of the groups that hold an array, but for the root."""
+    texts: dict[str, str] = {}
+    group = name.rpartition("/")[0]
+    while group:
+        texts |= unit_texts(attributes_of(group), group)
+        group = group.rpartition("/")[0]
+    return texts
+
+
 @contextmanager
 def translated_errors(path: Path, fmt: str) -> Iterator[None]:
     """Turn whatever a format's library raises on a damaged file into an InputError."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .arrays import MAX_BSCAN_BYTES, Key, LazyArray, View, nbytes, reversed_axes
 from .cf import Decoded
-from .contents import Contents, Variable
+from .contents import Contents, Variable, unit_texts, unit_texts_above
 from .hdf5_heaps import check_heaps
 from .metadata import DESCRIPTIONS, described
 from .units import is_unit_key
@@ -46,15 +46,13 @@ def contents(path: Path, wanted: str | None) -> Contents:
     """Find the datasets, what names their axes and what their attributes say."""
     file = open_file(path)
     try:
-        found, texts, unread = {}, _unit_texts(file, ""), []
+        found, texts, unread = {}, unit_texts(_attributes(file), ""), []
         for name, item in datasets(path, file):
             group = name.rpartition("/")[0]
+            texts |= unit_texts_above(name, lambda above: _attributes(file[above]))
             by_octave = group != "" and "OCTAVE_NEW_FORMAT" in file[group].attrs
             if by_octave and name == f"{group}/value":
                 name = group
-            while group:
-                texts |= _unit_texts(file[group], group)
-                group = group.rpartition("/")[0]
             is_text = item.dtype.kind in "SO" and item.size == 1
             if is_text and is_unit_key(name.rpartition("/")[2]):
                 texts[name] = str(_plain(np.asarray(item[()]).ravel()[0]))
@@ -152,12 +150,6 @@ def stored_array(path: Path, dataset: Any) -> _Stored:
 def is_complex_pair(dtype: np.dtype[Any]) -> bool:
     """Tell whether values are pairs ``real`` and ``imag``, as MATLAB stores complex numbers."""
     return set(dtype.names or ()) in ({"real", "imag"}, {"r", "i"})
-
-
-def _unit_texts(group: Any, name: str) -> dict[str, str]:
-    """Attributes of a group that state a unit, by their path."""
-    said = {key: text for key, text in _attributes(group).items() if is_unit_key(key)}
-    return {f"{name}/{key}".lstrip("/"): str(text) for key, text in said.items()}
 
 
 def _variable(path: Path, file: Any, name: str, item: Any, columns_first: bool) -> Variable:

@@ -15,9 +15,9 @@ import numpy as np
 from ..errors import InputError
 from .arrays import MAX_BSCAN_BYTES, Array, LazyArray, nbytes, squeezed, squeezed_axes
 from .cf import Decoded
-from .contents import Contents, Variable
+from .contents import Contents, Variable, unit_texts, unit_texts_above
 from .metadata import DESCRIPTIONS, Stated, described
-from .units import is_unit_key, to_mm
+from .units import to_mm
 
 FORMAT = "Zarr"
 
@@ -56,24 +56,15 @@ def contents(path: Path, wanted: str | None) -> Contents:
     image = _ome_image(dict(node.attrs), str(path)) if wanted is None else None
     if image is None:
         found = dict(_arrays(node, "", path))
-        texts = _unit_texts(node, "")
+        texts = unit_texts(dict(node.attrs), "")
         for name in found:
-            group = name.rpartition("/")[0]
-            while group:
-                texts |= _unit_texts(node[group], group)
-                group = group.rpartition("/")[0]
+            texts |= unit_texts_above(name, lambda group: dict(node[group].attrs))
         return Contents({n: _variable(path, array) for n, array in found.items()}, texts=texts)
     array: Any = node[image["datasets"][0]["path"]]
     if not isinstance(array, zarr.Array):
         raise InputError(f"{path}: {image['datasets'][0]['path']} is not an array")
     stated = _ome(image, array.shape, str(path))
     return Contents({"": _variable(path, array, stated)})
-
-
-def _unit_texts(group: Any, name: str) -> dict[str, str]:
-    """Attributes of a group that state a unit, by their path."""
-    said = {key: text for key, text in dict(group.attrs).items() if is_unit_key(key)}
-    return {f"{name}/{key}".lstrip("/"): str(text) for key, text in said.items()}
 
 
 def _fill_values(array: Any, attrs: dict[str, Any], where: str) -> list[float]:
