@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -149,14 +151,15 @@ def connected(
     }
     with dask.config.set(settings):
         try:
-            cluster = distributed.LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                processes=True,
-                memory_limit=0,
-                dashboard_address=None,
-                silence_logs=logging.CRITICAL,
-            )
+            with _interrupts_for_the_client_alone():
+                cluster = distributed.LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    memory_limit=0,
+                    dashboard_address=None,
+                    silence_logs=logging.CRITICAL,
+                )
         except RuntimeError as error:
             raise InputError(
                 f"workers could not be started: {error} A script must call this below "
@@ -164,6 +167,25 @@ def connected(
             ) from error
         with cluster, distributed.Client(cluster) as client:
             yield Workers(client, memory)
+
+
+@contextmanager
+def _interrupts_for_the_client_alone() -> Iterator[None]:
+    """Let Ctrl-C pass by the processes that are started here, and those that their starter adds.
+
+    A terminal sends it to all of them, and workers would answer with a traceback each. The client
+    ends them. Threads and processes inherit the signals that are blocked; the resource tracker of
+    multiprocessing unblocks this one as it starts, so it goes first.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _workers_for(needs: Sequence[float | None], cores: int, memory: float) -> int:

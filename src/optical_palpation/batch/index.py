@@ -29,13 +29,13 @@ _COLUMNS = {
     "algebraic_mean_axial_stress_kPa": "mean, algebraic (kPa)",
     "mean_loaded_thickness_mm": "mean thickness (mm)",
     "in_contact_fraction": "in contact",
-    "filled_fraction": "interpolated",
+    "interpolated_fraction": "interpolated",
     "median_sample_youngs_modulus_kPa": "modulus of the sample, median (kPa)",
     "seconds": "time (s)",
 }
 #: Those of them that are there only with a sample in the model.
 _OF_SAMPLE = ("median_sample_youngs_modulus_kPa",)
-_PERCENT = ("in_contact_fraction", "filled_fraction")
+_PERCENT = ("in_contact_fraction", "interpolated_fraction")
 #: What the error of a column is called.
 _ERRORS = {
     "window_force_mN": "force_error_mN",

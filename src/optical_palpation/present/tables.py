@@ -99,7 +99,7 @@ def result_columns(result: StressResult) -> dict[str, Any]:
         row["compression_mm"] = float(about.get("compression_mm", np.nan))
     state = maps["contact_state"].values
     row["in_contact_fraction"] = float(np.mean(state != ContactState.OPEN))
-    row["filled_fraction"] = float(about.get("filled_share", 0.0))
+    row["interpolated_fraction"] = float(about.get("filled_share", 0.0))
     row["mean_loaded_thickness_mm"] = float(maps["loaded_thickness"].mean())
     for key in ("c10_kPa", "c01_kPa", "bulk_to_shear", "window_friction", "sample_friction"):
         if key in about:
