@@ -565,7 +565,7 @@ for name, content, answer in (
         Read(np.array([[0.4, np.nan, 0.42], [np.nan, 0.44, np.nan]])),
     ),
     ("decimal commas", rows(";").replace(".", ","), Refused("write decimal points")),
-    ("decimal commas and commas", rows().replace(".", ","), Refused("zero or negative|columns")),
+    ("decimal commas and commas", rows().replace(".", ","), Refused("mark of missing pixels")),
     ("999 for missing", rows(values=np.where(HOLE, 999, MAP)), Refused("mark of missing")),
     ("-- for missing", rows().replace(f"{MAP[1, 1]:.17g}", "--"), Refused("'--' is no number")),
     ("short line", rows().replace(f",{MAP[2, 4]:.17g}", ""), Refused("line 3: 4 columns")),
@@ -586,6 +586,34 @@ for name, content, answer in (
     ("ESRI grid", "ncols 5\nnrows 4\n" + rows(" "), Refused("'ncols' is no number")),
     ("UTF-16", rows().encode("utf-16"), Read(MAP)),
     ("UTF-16 with tabs", rows("\t").encode("utf-16"), Read(MAP)),
+    ("Excel's mark of the separator", "sep=;\r\n" + rows(";"), Read(MAP)),
+    ("unit in a comment, in brackets", "# thickness [um]\n" + rows(values=1e3 * MAP), Read(MAP)),
+    ("unit in a comment, in words", "% thickness in microns\n" + rows(values=1e3 * MAP), Read(MAP)),
+    ("unit (z)", "# Unit (z): micrometer\n" + rows(values=1e3 * MAP), Read(MAP)),
+    ("name of Octave", "# name: L1_um\n# rows: 4\n" + rows(" ", values=1e3 * MAP), Read(MAP)),
+    ("units of each axis", "# x unit: um\n# z unit: mm\n" + rows(), Read(MAP)),
+    ("unit of the pixels", "# pixel size [um]: 20\n" + rows(), Refused("for the positions only")),
+    ("no number of Excel", rows(values=HOLED).replace(",,", ",#N/A,"), Refused("'#N/A' is no num")),
+    ("percent", rows(end="%").replace(",", "%,"), Refused("%' is no number")),
+    ("separator before every line", rows().replace("\n", "\n,"), Refused("columns")),
+    (
+        "empty first column",
+        "".join(f",{line}\n" for line in rows().splitlines()),
+        Refused("every line begins with a separator"),
+    ),
+    (
+        "numbers of columns and rows",
+        "0,1,2,3,4,5\n" + "".join(f"{n},{r}\n" for n, r in enumerate(rows().splitlines(), 1)),
+        Refused("first column counts the lines"),
+    ),
+    ("uneven positions in the first line", "1,2.1,3.3,4.2,5\n" + rows(), Refused("far beyond")),
+    (
+        "positions as gnuplot has them",
+        "5,.1,.12,.13,.14,.16\n"
+        + "".join(f"{y},{r}\n" for y, r in zip(Y, rows().splitlines(), strict=True)),
+        Refused("far beyond all others"),
+    ),
+    ("255 for missing", rows(values=np.where(HOLE, 255, MAP)), Refused("255, far above")),
     ("latin-1", ("# µm\n" + rows()).encode("latin-1"), Refused("as text in UTF-8")),
     ("two numbers with units", "0.4 mm,0.5 mm\n0.4 mm,0.5 mm\n", Refused("no numbers|no number")),
 ):
@@ -1000,3 +1028,56 @@ def raw_of_two_sidecars(folder: Path) -> Path:
 
 add("raw axes = xy", raw_turned, Read(SQUARE, *FRAME), variable=None)
 add("raw two sidecars", raw_of_two_sidecars, Refused("has two sidecars"))
+
+
+def matlab_logical(folder: Path) -> Path:
+    scipy.io.savemat(folder / "map.mat", {"L1": MAP, "anything": HOLE})
+    return folder / "map.mat"
+
+
+add("mat5 flags of any name", matlab_logical, Refused("does not say what it marks"))
+parts = {"L1": ((), MAP, {}), "confidence": ((), HOLE.astype("i4"), {})}
+add("npz zeros and ones of any name", stored(npz, parts), Refused("does not say what it marks"))
+for name in ("L1_px", "thickness (pixels)", "stress_kPa", "L1_inch"):
+    add(f"npz {name}", stored(npz, named(name, MAP)), Refused("name ends with"))
+add("npz ThicknessMicrons", stored(npz, named("ThicknessMicrons", 1e3 * MAP)), Read(MAP))
+for fmt, write in NETCDF.items():
+    parts = named("L1", MAP, ancillary_variables="anything")
+    flags: Parts = {"anything": (("y", "x"), 2 * HOLE.astype("i4"), {})}
+    add(f"{fmt} ancillary variable", stored(write, parts | flags), Refused("looks like a mask"))
+    flags = {"Q": (("y", "x"), 2 * HOLE.astype("i4"), {"flag_meanings": "good bad"})}
+    add(f"{fmt} flags good and bad", stored(write, named("L1", MAP) | flags), Refused("a mask"))
+    flags = {"Q": (("y", "x"), HOLE.astype("i4"), {"flag_meanings": "open slip"})}
+    add(f"{fmt} flags of something else", stored(write, named("L1", MAP) | flags), Read(MAP))
+    for key, text_ in (("long_name", "thickness (um)"), ("description", "depth in micrometers")):
+        parts = named("L1", 1e3 * MAP, **{key: text_})
+        add(f"{fmt} unit in the {key}", stored(write, parts), Read(MAP))
+    parts = named("L1", 1e3 * MAP, unit_of_length="um", long_name="under a travel of 2 mm")
+    add(f"{fmt} attribute unit_of_length", stored(write, parts), Read(MAP))
+    parts = named("L1", MAP, scale_factor="0.001")
+    add(f"{fmt} scale_factor that is a text", stored(write, parts), Refused("scale_factor is"))
+    counted: Parts = {
+        axis: ((axis,), 1.0 + np.arange(n), {}) for axis, n in zip("yx", (4, 5), strict=True)
+    }
+    parts = named("L1", MAP) | counted
+    add(f"{fmt} numbers of pixels", stored(write, parts), Refused("in mm"), variable="L1")
+    add(f"{fmt} numbers of pixels, given", stored(write, parts), Read(MAP), variable="L1", **FIELD)
+    in_mm = {axis: (dims, at, {"units": "mm"}) for axis, (dims, at, _) in counted.items()}
+    whole = Read(MAP, 1.0 + np.arange(5), 1.0 + np.arange(4))
+    add(f"{fmt} a pixel per mm", stored(write, parts | in_mm), whole, variable="L1")
+
+
+def of_vigra(file: h5py.File) -> None:
+    file["L1"] = SQUARE.T
+    file["L1"].attrs["axistags"] = '{"axes": [{"key": "x"}, {"key": "y"}]}'
+
+
+add("h5 tags of axes", hdf5(of_vigra), Read(SQUARE))
+stress = tiff(MAP.astype("f4"), imagej=True, metadata={"unit": "mm", "vunit": "kPa"})
+add("tiff ImageJ's values in kPa", stress, Refused("'kPa'"))
+for name, content, says in (
+    ("Excel", b"PK\x03\x04" + bytes(99), "zip"),
+    ("gzip", b"\x1f\x8b" + bytes(99), "unpack"),
+    ("pickle", b"\x80\x05" + bytes(99), "numpy.save"),
+):
+    add(f"not read: {name}", text(content), Refused(says))

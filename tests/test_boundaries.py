@@ -326,9 +326,17 @@ def test_input_that_cannot_be_used(given, said):
         find_layer(stack, **{"spacing": SPACING, "scale": "linear"} | given)
 
 
-def test_all_missing_volume_is_refused():
-    with pytest.raises(InputError, match="finite data"):
-        find_layer(np.full((64, 4, 32), np.nan), spacing=SPACING, scale="linear")
+@pytest.mark.parametrize(
+    ("samples", "said"),
+    [
+        (np.full((64, 4, 32), np.nan), "finite data"),
+        (np.zeros((64, 4, 32)), "holds no data|finite data"),
+        (np.random.default_rng(1).standard_normal((64, 4, 32)), "are negative"),
+    ],
+)
+def test_volume_without_data_is_refused(samples, said):
+    with pytest.raises(InputError, match=said):
+        find_layer(samples, spacing=SPACING, scale="linear")
 
 
 def test_resolution_is_read_off_the_speckle():

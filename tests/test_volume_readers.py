@@ -130,9 +130,11 @@ def test_refractive_index_turns_optical_into_physical_depth(tmp_path: Path) -> N
     # Depth that the user gives is physical unless an index is given with it.
     with open_volume(path, spacing={"z": 0.002}) as volume:
         assert volume.metadata.spacing.z == 0.002
-    for index in (0.9, 0.0, -1.0, float("nan"), 100.0):
+    for index in (0.9, 0.0, -1.0, float("nan"), 100.0, "glass"):
         with pytest.raises(InputError, match="refractive index"):
-            open_volume(path, refractive_index=index)
+            open_volume(path, refractive_index=index)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="variable = 1: must be the name"):
+        open_volume(path, variable=1)  # type: ignore[arg-type]
 
 
 def test_thorlabs_members_that_are_not_supported_are_named(tmp_path: Path) -> None:

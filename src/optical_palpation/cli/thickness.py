@@ -121,6 +121,12 @@ def thickness(
         write_thickness_map(found, output)
         if plot is not None:
             present.write_boundaries_figure(found, opened, plot)
+    if (filled := float(found.attrs["filled_share"])) > 0.5:
+        typer.echo(
+            f"warning: the layer is seen in {present.percent(1.0 - filled)} of the pixels only; "
+            "look at the picture (--plot), and check axes, spacing and how the boundaries look",
+            err=True,
+        )
     if quiet:
         return
     measured = found["thickness"].values[~found["filled"].values]

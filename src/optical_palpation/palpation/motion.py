@@ -76,7 +76,8 @@ def _field(path: Path, contents: Contents, name: str) -> xr.DataArray:
     for axis, at in found.positions.items():
         if at is None:
             raise InputError(
-                f"{path} has no variable {axis!r}; the motion of the sample needs "
+                f"{path} has no variable {axis!r} with positions in mm (numbers of pixels are "
+                f"none); the motion of the sample needs "
                 f"{', '.join(MOTION)}, x and y"
             )
         positions[axis] = (axis, at, {"units": "mm"})

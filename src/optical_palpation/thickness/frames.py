@@ -12,7 +12,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from optical_palpation.arguments import explained
 from optical_palpation.errors import InputError
-from optical_palpation.volume.labels import axis_of
+from optical_palpation.volume.labels import axis_of, counts_pixels
 from optical_palpation.volume.units import MM, stated_unit
 
 # Of the width of a map, by which the extent of the layer may reach beyond it: rounding.
@@ -21,6 +21,8 @@ EXTENT_SLACK = 1e-6
 _LEAST_MEASURED = 0.5
 # Numbers that programs write where they have none. Those below zero are refused anyhow.
 _MARKS = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 99.9, 999.9, 9999.9, 99.99, 32767.0, 65535.0)
+# Above so many medians, a thickness that occurs several times is a mark as well.
+_FAR = 10.0
 
 
 @explained
@@ -45,8 +47,8 @@ def thickness_map(
     those of :func:`read_thickness_map`. `where` names the map in error messages.
     """
     plain, own = _unlabelled(values, where)
-    if x is None and y is None and field_of_view is None and pixel_spacing is None:
-        x, y = own.get("x"), own.get("y")
+    if x is None and y is None and len(own) == 2:
+        x, y = own["x"], own["y"]
     result = map_on_grid(
         checked_values(plain, where),
         x=x,
@@ -96,8 +98,8 @@ def map_on_grid(
             positions = np.linspace(0.0, (count - 1) * spacing[index], count)
         else:
             raise InputError(
-                f"{where} carries no coordinates: give the field of view (x, y) or the pixel "
-                "spacing (x, y) in mm"
+                f"{where} carries no coordinates in mm (numbers of pixels are none): give the "
+                "field of view (x, y) or the pixel spacing (x, y) in mm"
             )
         for name, numbers, extent in (
             ("field of view", field, 1.0),
@@ -209,6 +211,14 @@ def checked_values(values: ArrayLike, where: str) -> NDArray[np.float64]:
     """Return `values` as float64 if they can be a thickness map, else raise an InputError."""
     array = checked_heights(values, where)
     _refuse(array, "zero or negative", array <= 0.0, where)
+    largest = float(np.nanmax(array))
+    if largest > _FAR * float(np.nanmedian(array)) and (array == largest).sum() > 1:
+        _refuse(
+            array,
+            f"{largest:g}, far above all others, as marks of missing pixels are",
+            array == largest,
+            where,
+        )
     return array
 
 
@@ -238,8 +248,8 @@ def _refuse_marks(array: NDArray[np.float64], where: str) -> None:
     lengths = np.abs(array[~np.isnan(array)])
     largest = float(lengths.max())
     others = lengths[lengths < largest]
-    is_mark = largest >= 1e20 or any(abs(largest - mark) <= 1e-6 * mark for mark in _MARKS)
-    if is_mark and (largest >= 1e20 or (others.size and largest > 1.5 * others.max())):
+    is_mark = largest >= 1e9 or any(abs(largest - mark) <= 1e-6 * mark for mark in _MARKS)
+    if is_mark and (largest >= 1e9 or (others.size and largest > 1.5 * others.max())):
         _refuse(
             array,
             f"{largest:g} in size, which is no length but a mark of missing pixels",
@@ -259,7 +269,17 @@ def _unlabelled(values: Any, where: str) -> tuple[NDArray[Any], dict[str, NDArra
                 f"{where}: a {type(values).__name__} carries labels or units that would be lost; "
                 "give an array of mm, or an xarray.DataArray"
             )
-        return np.asarray(values), {}
+        if isinstance(values, xr.Dataset):
+            raise InputError(f"{where}: is an xarray.Dataset; give one of its variables")
+        try:
+            return np.asarray(values), {}
+        except ValueError as error:  # rows of several lengths
+            raise InputError(f"{where}: is no array of numbers ({error})") from None
+    if packed := {"scale_factor", "add_offset"} & set(values.attrs):
+        raise InputError(
+            f"{where}: its attributes state {' and '.join(sorted(packed))}, so its values are "
+            "still packed; decode them (xarray.decode_cf) first"
+        )
     check_kind(values.shape, values.dtype, where)
     dims = [str(dim) for dim in values.dims]
     order = [axis_of(dim) for dim in dims]
@@ -271,8 +291,10 @@ def _unlabelled(values: Any, where: str) -> tuple[NDArray[Any], dict[str, NDArra
     for axis, dim in zip("yx", values.dims, strict=True):
         if dim in values.coords and order.count(axis):
             own = values[dim]
-            unit = stated_unit(str(dim), own.attrs, f"{where}, coordinate {dim}") or "mm"
-            coordinates[axis] = _floats(own.values, axis, where) * MM[unit]
+            unit = stated_unit(str(dim), own.attrs, f"{where}, coordinate {dim}")
+            positions = _floats(own.values, axis, where)
+            if unit is not None or not counts_pixels(positions):
+                coordinates[axis] = positions * MM[unit or "mm"]
     unit = stated_unit(str(values.name or ""), values.attrs, where) or "mm"
     return np.asarray(values.values, np.float64) * MM[unit], coordinates
 
@@ -312,7 +334,7 @@ def _floats(given: ArrayLike, axis: str, where: str) -> NDArray[np.float64]:
 
 def _numbers(name: str, given: Sequence[float], count: int) -> list[float]:
     try:
-        numbers = [float(number) for number in given]
+        numbers = [] if isinstance(given, str) else [float(number) for number in given]
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) != count or not np.all(np.isfinite(numbers)):

@@ -25,6 +25,7 @@ DB = np.log(10.0) / 10.0
 LOG_SPREAD = np.pi / np.sqrt(6.0)  # standard deviation of the logarithm of an exponential number
 DYNAMIC_RANGE = 60.0  # dB, of a spectrometer within one B-scan
 SAMPLES = 7  # B-scans looked at for what holds for the whole volume
+MOST_NEGATIVE = 0.2  # of linear samples: where a background was taken off, some are
 TILE = (32, 16)  # pixels along z and x over which statistics are taken
 SIGMA_RANGE = (0.4, 12.0)  # pixels; beyond it speckle does not tell its width
 
@@ -94,9 +95,10 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
         image = np.abs(image) if np.iscomplexobj(image) else image
         return np.array(image, np.float32, order="C")
 
-    spread, level, highest = [], [], []
+    spread, level, highest, negative = [], [], [], []
     for y in _some(volume.shape[1]):
         image = raw(int(y))
+        negative.append(np.mean(image < 0))
         tiles = _tiles(image)
         tiles = tiles[np.all(np.isfinite(tiles) & (tiles != 0 if scale == "dB" else True), (1, 2))]
         if len(tiles) == 0:
@@ -108,6 +110,11 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
         highest.append(np.max(tiles))
     if not spread:
         raise InputError("the volume holds no stretch of finite data to tell noise from signal by")
+    if scale == "linear" and (share := float(np.mean(negative))) > MOST_NEGATIVE:
+        raise InputError(
+            f"{share:.0%} of the samples are negative, which no amplitude or intensity is: are "
+            "they in decibels (scale 'dB'), or the raw signal of the interferometer?"
+        )
     deviation, mean = float(np.median(spread)), float(np.median(level))
     square, gain, offset = False, 0.0, 0.0
     if scale == "linear":

@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
+from optical_palpation.errors import InputError
 from optical_palpation.parallel import in_parallel
 
 from .intensity import Read
@@ -85,7 +86,7 @@ class Reduced:
 def column_weights(floor: NDArray[np.float32]) -> NDArray[np.float32]:
     """Weights of A-scans in an average: those that a saturated detector lifted count less."""
     typical = np.median(floor)
-    return np.minimum(1.0, (typical / np.maximum(floor, 1e-30)) ** 2).astype(np.float32)
+    return (np.minimum(1.0, typical / np.maximum(floor, 1e-30)) ** 2).astype(np.float32)
 
 
 def reduce_volume(
@@ -106,6 +107,8 @@ def reduce_volume(
             mean = np.where(share > 0, total / share, np.nan)
             log[by] = np.log(np.maximum(mean, np.float32(1e-3) * np.median(floor[y])))
         progress((by + 1) / nby)
+    if np.isnan(log).all():
+        raise InputError("the volume holds no data: all its samples are zero or missing")
     centres = [
         np.array([(i * BLOCK + (n if i == nb - 1 else (i + 1) * BLOCK) - 1) / 2 for i in range(nb)])
         for n, nb in ((ny, nby), (nx, nbx))

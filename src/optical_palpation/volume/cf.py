@@ -18,6 +18,7 @@ from ..errors import InputError
 from .arrays import Key
 
 _RANGE = ("valid_range", "valid_min", "valid_max")
+_NUMBERS = ("scale_factor", "add_offset", "_FillValue", "missing_value")
 _FILLS = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36}
 _INTEGER_FILLS = {"i2": -32767, "i4": -2147483647, "i8": -9223372036854775806}
 _INTEGER_FILLS |= {"u2": 65535, "u4": 4294967295, "u8": 18446744073709551614}
@@ -53,6 +54,9 @@ class Decoded:
         self._base, self._dims, self._attrs = base, tuple(dims), dict(attrs)
         self.random_access: bool = getattr(base, "random_access", True)
         stored = np.dtype(base.dtype)
+        for key in _NUMBERS:
+            if key in attrs and np.asarray(attrs[key]).dtype.kind not in "iuf":
+                raise InputError(f"{where}: {key} is {attrs[key]!r}, no number; store it as one")
         self.shape: tuple[int, ...] = tuple(int(n) for n in base.shape)
         self.chunks = tuple(getattr(base, "chunks", None) or (1,) * len(self.shape))
         self._fills = list(fills)

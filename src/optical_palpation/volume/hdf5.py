@@ -8,6 +8,7 @@ were never written are missing, not zero.
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -297,8 +298,17 @@ def _dims(file: Any, item: Any) -> tuple[str, ...]:
                     f"scale {name!r}"
                 )
         names = [name or label for name, label in zip(names, labels, strict=False)]
-    names = names or labels
+    names = names or labels or _tagged_dims(item)
     return tuple(names) if len(names) == item.ndim and any(names) else ()
+
+
+def _tagged_dims(item: Any) -> list[str]:
+    """Names of axes by vigra's and ilastik's attribute."""
+    try:
+        axes = json.loads(str(_plain(item.attrs.get("axistags", "{}"))))["axes"]
+        return [str(axis["key"]) for axis in axes]
+    except (ValueError, LookupError, TypeError, RecursionError):
+        return []
 
 
 def _netcdf_dims(item: Any) -> list[str]:

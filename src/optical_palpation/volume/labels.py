@@ -123,6 +123,15 @@ def coordinate(path: Path, contents: Contents, name: str, axis: str) -> Coordina
     return Coordinate(own[0], squeezed, variable.dims, stated_unit(own[0], variable.attrs, where))
 
 
+def counts_pixels(positions: NDArray[np.float64]) -> bool:
+    """Tell whether positions are 0, 1, 2, ... or 1, 2, 3, ...: without a unit they are no mm."""
+    return (
+        positions.size > 2
+        and positions[0] in (0.0, 1.0)
+        and np.array_equal(positions, positions[0] + np.arange(positions.size))
+    )
+
+
 def attributes_of(path: Path, contents: Contents, name: str) -> Mapping[str, object]:
     """Attributes of an array; where none of them is a unit, what the file says of it elsewhere.
 
@@ -190,6 +199,9 @@ def labelled(
                 + f"), but its shape is {given.values.shape}. If it is something else, store the "
                 "map in a file of its own"
             )
+        if given.unit is None and counts_pixels(vector):
+            positions[axis] = None
+            continue
         unit = given.unit or _common_unit(contents, given, f"{path}, variable {given.name}")
         positions[axis] = vector * MM[unit]
     return Labelled(values, positions, tuple(order))

@@ -48,15 +48,15 @@ def apply_masks(path: Path, contents: Contents, name: str, values: NDArray[np.fl
     if (mask := own or beside.get(FILLED)) is not None:
         values[_flags(path, contents, mask, name, values.shape)] = np.nan
         return
+    listing = str(contents.variables[name].attrs.get("ancillary_variables", "")).split()
     for other in beside.values():
         variable = contents.variables.get(other)
         if variable is None:
             unclear = is_mask(other)
         else:
             same = variable.shape == contents.variables[name].shape
-            kind = variable.dtype.kind
-            called = kind in "iuf" and is_mask(other)
-            unclear = same and (called or kind == "b") and _marks_some(path, other, variable)
+            listed = other.rpartition("/")[2] in listing
+            unclear = same and _may_mark(path, other, variable, listed)
         if unclear:
             raise InputError(
                 f"{path}, variable {other} looks like a mask of the map, but its name does not say "
@@ -65,9 +65,17 @@ def apply_masks(path: Path, contents: Contents, name: str, values: NDArray[np.fl
             )
 
 
-def _marks_some(path: Path, name: str, variable: Variable) -> bool:
+def _may_mark(path: Path, name: str, variable: Variable, listed: bool) -> bool:
+    """Tell whether an array marks pixels: by its name or what it says, or as it holds 0 and 1."""
+    if variable.dtype.kind not in "biuf":
+        return False
+    meanings = str(variable.attrs.get("flag_meanings", ""))
+    known = listed or any(map(is_mask, (name, meanings)))
+    if meanings and not known:
+        return False  # flags of something else
     values = values_of(path, name, variable)
-    return bool(values.size and (values != values.flat[0]).any())
+    varies = bool(values.size and (values != values.flat[0]).any())
+    return varies and (known or bool(np.isin(values, (0, 1, 255)).all()))
 
 
 def _flags(

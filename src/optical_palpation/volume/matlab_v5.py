@@ -46,6 +46,7 @@ _CLASSES = {
     14: "i8",
     15: "u8",
 }
+_LOGICAL_FLAG = 0x02
 _COMPLEX_FLAG = 0x08
 _MAX_VARIABLES = 10_000
 
@@ -62,6 +63,7 @@ class Variable:
     shape: tuple[int, ...]
     kind: int
     is_complex: bool
+    is_logical: bool
     position: int
     size: int
     compressed: bool
@@ -72,6 +74,8 @@ class Variable:
         """Type of the values, None for text."""
         if self.kind == _CHAR_CLASS:
             return None
+        if self.is_logical:
+            return np.dtype(bool)
         real = np.dtype(self.order + _CLASSES[self.kind])
         if not self.is_complex:
             return real
@@ -125,7 +129,8 @@ def load(path: Path, variable: Variable) -> FileArray | LazyArray | str:
                 f"{where}: {size} bytes of stored type {stored} cannot be {variable.shape} samples "
                 f"of type {target}: damaged"
             )
-        if small is None and not variable.compressed and not variable.is_complex and part == target:
+        plain = not (variable.compressed or variable.is_complex or variable.is_logical)
+        if small is None and plain and part == target:
             return FileArray(path, target, variable.shape, file.tell(), order="F")
 
         check_ratio(size, variable.size, where)
@@ -133,6 +138,7 @@ def load(path: Path, variable: Variable) -> FileArray | LazyArray | str:
             raise InputError(f"{where}: too large to load whole; save it with -v7.3")
         real = _samples(stream, count, part, small, where).astype(target, copy=False)
         if not variable.is_complex:
+            real = real.astype(bool) if variable.is_logical else real
             return LazyArray(real.reshape(variable.shape, order="F"))
         _exactly(stream, -size % 8 if small is None else 0, where)
         stored, size, small = _tag(stream, variable.order, path)
@@ -199,7 +205,9 @@ def _header(
     if kind not in _CLASSES and kind != _CHAR_CLASS:
         return name, None
     is_complex = bool(flags >> 8 & _COMPLEX_FLAG)
-    return name, Variable(name, shape, kind, is_complex, position, size, compressed, order)
+    is_logical = kind != _CHAR_CLASS and bool(flags >> 8 & _LOGICAL_FLAG)
+    where = position, size, compressed, order
+    return name, Variable(name, shape, kind, is_complex, is_logical, *where)
 
 
 def _element(stream: _Stream, order: str, path: Path) -> bytes:

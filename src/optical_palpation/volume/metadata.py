@@ -188,7 +188,8 @@ def settle(
         raise InputError(
             f"{path} ({fmt}) does not say: {'; '.join(missing)}. Give what it does not say."
         )
-    if index is not None and not 1.0 <= index <= 4.0:
+    real = isinstance(index, int | float | np.number)
+    if index is not None and not (real and 1.0 <= index <= 4.0):
         raise InputError(f"{path}: refractive index {index!r} is not between 1 and 4")
     for axis, value in steps.items():
         if not (math.isfinite(value) and 1e-7 <= value <= 100.0):

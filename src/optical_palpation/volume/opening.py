@@ -26,6 +26,16 @@ from .contents import Contents, Reader, translated_errors
 from .volume import Volume, chosen
 
 _HEAD_BYTES = 4096
+#: Formats that are not read, by their first bytes, and what to do.
+_OTHERS = {
+    b"PK\x03\x04": "a zip archive (Excel writes them, too); save what it holds as CSV or .npy",
+    b"\xd0\xcf\x11\xe0": "a file of Excel or another office program; save the map as CSV",
+    b"\x1f\x8b": "compressed by gzip; unpack it",
+    b"PAR1": "Parquet; save the map as .npy",
+    b"ARROW1": "Arrow; save the map as .npy",
+    b"\x80": "a Python pickle, which could run code; save the array with numpy.save",
+    b"\0\0\0\0": "perhaps MATLAB's version 4; save it with -v7",
+}
 
 #: Formats of volumes. Raw files have no mark of their own: they come last.
 READERS: tuple[Reader, ...] = (
@@ -106,6 +116,8 @@ def open_volume(
         "origin": origin,
     }
     path = file_path(path)
+    if variable is not None and not isinstance(variable, str):
+        raise InputError(f"variable = {variable!r}: must be the name of an array in {path}")
     reader, contents = open_contents(path, variable, untrusted=untrusted)
     try:
         with translated_errors(path, reader.FORMAT):
@@ -147,8 +159,10 @@ def open_contents(
             if reader.recognises(path, head):
                 return reader, reader.contents(path, wanted)
     known = ", ".join(reader.FORMAT for reader in readers)
+    kind = next((kind for mark, kind in _OTHERS.items() if head.startswith(mark)), "")
+    first = f"it is {kind}" if kind else f"its first bytes are {head[:16]!r}"
     raise InputError(
-        f"{path}: unknown format; its first bytes are {head[:16]!r}. Known: {known}. A raw file "
+        f"{path}: unknown format; {first}. Known: {known}. A raw file "
         f"needs a sidecar {path.name}.toml or {path.name}.json that describes it"
     )
 

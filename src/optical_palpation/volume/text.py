@@ -35,7 +35,21 @@ _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 # What Octave, and NumPy's users after its manual, write above each of several arrays.
 _ONE_ARRAY = re.compile(r"\s*(?:name:|new slice)", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9.]*,[0-9]+")
-_UNIT = re.compile(r"\b(?:length[ _]?)?units?\s*[:=]\s*([^\s,;]+)", re.IGNORECASE)
+# units: um, unit (z) = um; thickness in um, thickness [um]; # name: L1_um
+_UNIT = re.compile(r"(?<![a-z])units?(?![a-z])[^:=,;]{0,40}[:=]\s*([^\s,;]+)", re.IGNORECASE)
+_IN_UNIT = re.compile(
+    r"(?:[(\[]\s*|\bin\s+)([munc]m|[µμ]m|microns?|(?:milli|micro|nano)met(?:er|re)s?)\b",
+    re.IGNORECASE,
+)
+_NAME = re.compile(r"\s*name:\s*(\S+)", re.IGNORECASE)
+_LATERAL = re.compile(
+    r"\b(?:[xy]|xy|lateral|pixels?|spacing|pitch|steps?|width|field|fov|positions?|coordinates?)\b",
+    re.IGNORECASE,
+)
+_AXIAL = re.compile(r"\b(?:z|thickness|depth|values?|data|map)\b", re.IGNORECASE)
+# A comment begins a line or follows a space: #N/A and 1.#QNAN are cells.
+_COMMENT = {marks: re.compile(rf"(?:^|(?<=\s))[{marks}]") for marks in ("#", "#%")}
+_SEPARATOR = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # Excel's first line
 
 
 @dataclass(frozen=True)
@@ -90,7 +104,7 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
             raise InputError(f"{path} holds a header line but no numbers")
     columns = len(first.cells)
     rows: list[NDArray[np.float64]] = []
-    unfinished = True  # whether every line ends with an empty cell
+    unfinished = unbegun = True  # whether every line ends, or begins, with an empty cell
     blocks = [0]  # lines of each part between blank lines
     german = columns > 1 and columns % 2 == 0  # 0,5 for 0.5, between commas
     while first is not None:
@@ -104,6 +118,7 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
                 f"have {columns}"
             )
         unfinished &= not line.cells[-1]
+        unbegun &= not line.cells[0]
         rows.append(_row(path, line))
         if len(rows) * columns > MAX_VALUES:
             raise InputError(
@@ -113,15 +128,16 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
     _refuse_several(path, remarks, blocks)
     if german:
         _refuse_decimal_commas(path, table)
-    if unfinished and columns > 1:
-        if header is None:
-            raise InputError(
-                f"{path}: every line ends with a separator. If the last column is missing pixels, "
-                "write nan into it; else remove the separators"
-            )
-        if len(header.cells) == columns - 1 or not header.cells[-1]:
-            table = table[:, :-1]  # no column of that name: the separator ends the line
-            header = Line(header.number, header.cells[: columns - 1])
+    if (unfinished or unbegun) and columns > 1 and header is None:
+        end, column = ("ends", "last") if unfinished else ("begins", "first")
+        raise InputError(
+            f"{path}: every line {end} with a separator. If the {column} column is missing pixels, "
+            "write nan into it; else remove the separators"
+        )
+    named = header is not None and len(header.cells) == columns and header.cells[-1]
+    if unfinished and columns > 1 and header is not None and not named:
+        table = table[:, :-1]  # no column of that name: the separator ends the line
+        header = Line(header.number, header.cells[: columns - 1])
     return _without_labels(path, header, table), _stated_unit(path, remarks, header)
 
 
@@ -145,14 +161,29 @@ def _refuse_decimal_commas(path: Path, table: NDArray[np.float64]) -> None:
 
 def _stated_unit(path: Path, remarks: list[str], header: Line | None) -> str | None:
     """Unit that comments or the names of the columns state; those of numbers are of positions."""
-    stated = {match[1] for remark in remarks if (match := _UNIT.search(remark))}
+    stated: set[str] = set()
+    unclear: set[str] = set()
+    for remark in remarks:
+        said = {match[1] for rule in (_UNIT, _IN_UNIT) if (match := rule.search(remark))}
+        if (named := _NAME.match(remark)) and (unit := split_unit(named[1])[1]):
+            said.add(unit)
+        lateral = _LATERAL.search(remark) and not _AXIAL.search(remark)
+        (unclear if lateral else stated).update(said)
     for cell in header.cells if header else ():
         name, unit = split_unit(cell)
         unit = unit or length_unit(cell)
         if unit and _number(name) is None:
             stated.add(unit)
     if len({length_unit(unit) or unit for unit in stated}) > 1:
-        raise InputError(f"{path}: states several units: {', '.join(sorted(stated))}")
+        raise InputError(
+            f"{path}: states several units: {', '.join(sorted(stated))}; leave only that of the "
+            "thickness"
+        )
+    if unclear and not stated and {length_unit(unit) for unit in unclear} != {"mm"}:
+        raise InputError(
+            f"{path}: a comment states {', '.join(sorted(unclear))}, perhaps for the positions "
+            "only; add a comment '# units: mm', or um, for the thickness"
+        )
     return next(iter(stated), None)
 
 
@@ -168,6 +199,9 @@ def split_lines(
     delimiter: str | None = None
     first = True
     for number, line, after_blank in _lines(path, comments, remarks):
+        if number == 1 and (stated := _SEPARATOR.fullmatch(line.strip())):
+            delimiter, first = stated[1], False
+            continue
         if first:
             delimiter, first = next((mark for mark in "\t;," if mark in line), None), False
         if delimiter is None:
@@ -299,7 +333,7 @@ def _without_labels(
             )
         if _counts(first_row) and not _counts(table[1]):
             if first_row[0] == 0.0:  # which is no thickness
-                return table[1:]
+                return _without_labels(path, None, table[1:])
             raise InputError(
                 f"{path}: the first line counts the columns, {first_row[0]:g} to "
                 f"{first_row[-1]:g}; remove it if it is no thickness"
@@ -315,6 +349,16 @@ def _without_labels(
                     f"{path}: the numbers of the first {what} are evenly spaced: they may be "
                     f"coordinates. Remove them, or write a line of names above the map if they are "
                     "thickness"
+                )
+        for what, edge in (("line", first_row[1:]), ("column", first_column[1:])):
+            inside = table[1:, 1:]
+            low, high = np.nanmin(inside, initial=np.inf), np.nanmax(inside, initial=0.0)
+            beyond = edge.max() > 2.0 * high or edge.min() < 0.5 * low
+            if edge.size > 3 and _steady(edge) and beyond:
+                raise InputError(
+                    f"{path}: the numbers of the first {what} rise or fall steadily, far beyond "
+                    "all others: they may be coordinates. Remove them, and give field of view or "
+                    "pixel spacing"
                 )
     _refuse_points_or_profile(path, table)
     return table
@@ -395,10 +439,9 @@ def _lines(path: Path, comments: str, remarks: list[str] | None) -> Iterator[tup
                     )
                 line = raw.rstrip("\r\n")
                 blank = not line.strip()
-                for mark in comments:
-                    line, _, remark = line.partition(mark)
-                    if remark and remarks is not None and len(remarks) < _MAX_REMARKS:
-                        remarks.append(remark)
+                line, *remark = _COMMENT[comments].split(line, maxsplit=1)
+                if remark and remarks is not None and len(remarks) < _MAX_REMARKS:
+                    remarks += remark
                 if line.strip():
                     yield number, line, after_blank
                     after_blank = False

@@ -32,6 +32,7 @@ MAGIC = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 _MAX_PAGES, _MAX_TAGS = 100_000, 4096
 _LZW, _ORIENTATION = 5, 274
 _UNCALIBRATED = 20  # ImageJ's number of the calibration function "none"
+_NO_UNIT = ("", "gray value", "grey value", "pixel value")  # of ImageJ's samples
 # Vendors' multi-page conventions; some follow references to other files.
 _VENDORS = (
     *("lsm", "mmstack", "ndtiff", "fluoview", "stk", "sis", "svs", "scn", "qpi", "ndpi", "bif"),
@@ -198,7 +199,8 @@ def _contents(path: Path, file: Any) -> Contents:
         metadata = file.imagej_metadata or {}
         stated = _imagej(metadata, page, stack, str(path))
         array = _calibrated(metadata, array, str(path))
-        if length_unit(unit := str(metadata.get("vunit", ""))):
+        unit = str(metadata.get("vunit", "")).strip()
+        if unit.lower() not in _NO_UNIT:
             texts["units"] = unit
     elif file.is_shaped:
         stated = Stated(axes=_shaped(file, array.shape) or stated.axes)

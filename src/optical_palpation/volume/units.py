@@ -19,7 +19,17 @@ _SUFFIX = re.compile(
     re.IGNORECASE,
 )
 # L1um and thicknessUm, but no datum
-_JOINED = re.compile(r"(?P<stem>.*(?:[0-9](?=[munc])|[a-z0-9](?=[MUNC])))(?P<unit>[MUNCmunc]m)")
+_JOINED = re.compile(
+    r"(?P<stem>.*(?:[0-9](?=[munc])|[a-z0-9](?=[MUNC])))"
+    r"(?P<unit>[MUNCmunc]m|Microns?|(?:Milli|Micro|Nano)met(?:er|re)s?)"
+)
+# What else a name may end with: its numbers are no lengths, or need a factor.
+_NO_LENGTH = re.compile(
+    r".*[_\s.(\[-](?P<unit>px|pix|pixels?|voxels?|inch|inches|mils?|[kmg]?pa|percent)[)\]]?",
+    re.IGNORECASE,
+)
+_KEY = re.compile(r"(?:(?:length|thickness|value|data|map|z)[ _]?)?units?(?:[ _]of[ _]length)?")
+_IN_WORDS = ("long_name", "description")
 
 
 def length_unit(text: str) -> str | None:
@@ -58,9 +68,17 @@ def stated_unit(
         If they contradict each other, or one of them is no unit of length.
     """
     stated = {}
+    if other := _NO_LENGTH.fullmatch(name):
+        raise InputError(
+            f"{where}: its name ends with {other['unit']!r}; known units of length are {_KNOWN}"
+        )
     suffix = split_unit(name)[1]
     if suffix:
         stated["its name"] = suffix
+    for key in _IN_WORDS:  # "thickness (um)", but not "under a travel of 2 mm"
+        words, unit = split_unit(str(attrs.get(key, "")))
+        if unit and not words[-1:].isdigit():
+            stated[f"its {key} attribute"] = unit
     texts = {f"its {key} attribute": str(attrs[key]) for key in attrs if is_unit_key(key)}
     if given is not None:
         texts["length_unit"] = given
@@ -77,4 +95,4 @@ def stated_unit(
 
 def is_unit_key(key: str) -> bool:
     """Tell whether an attribute or a text beside an array states its unit."""
-    return key.lower() in ("units", "unit", "length_unit", "length_units")
+    return _KEY.fullmatch(key.lower()) is not None
