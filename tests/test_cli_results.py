@@ -286,6 +286,11 @@ def test_check_reads_everything_and_writes_nothing(here, run, told):
     assert status == 2
     assert "[loaded]" in err
     assert sorted(path.name for path in here.iterdir()) == before
+    (here / "photos").mkdir()
+    (here / "photos" / "holiday.jpg").write_bytes(b"")
+    status, _, err = run("run", "study.toml", "--check", "--output", "photos")
+    assert status == 2
+    assert "photos: holds files but no record" in err
 
 
 @pytest.mark.parametrize(

@@ -142,8 +142,10 @@ def _text(source: Path) -> str:
         return source.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InputError(f"{source}: no such file or folder") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{source}: the table cannot be read ({error})") from error
+    except OSError as error:
+        raise InputError(f"{source}: the table cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{source}: is no table, which is UTF-8 text") from error
 
 
 def _studies(folder: Path) -> Iterator[Scan]:

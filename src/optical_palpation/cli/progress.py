@@ -176,4 +176,5 @@ class ProgressDisplay(Display):
 def _reached(report: Report) -> str:
     if report.newton is None:  # a stage without a load; a short one only tells that it begins
         return f"{report.load:.0%}, " if report.load else ""
-    return f"load {report.load:.0%}, {report.newton} Newton iterations, "
+    iterations = "iteration" if report.newton == 1 else "iterations"
+    return f"load {report.load:.0%}, {report.newton} Newton {iterations}, "

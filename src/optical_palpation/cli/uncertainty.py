@@ -37,7 +37,10 @@ def uncertainty(
     modulus: Annotated[
         float,
         typer.Option(
-            metavar="NUMBER", help="Relative error of the layer's stiffness, 0.02 for 2 %.", min=0
+            metavar="NUMBER",
+            help="Relative error of the layer's stiffness, 0.02 for 2 %.",
+            min=0,
+            max=1,
         ),
     ] = 0.0,
     thickness: Annotated[

@@ -284,11 +284,13 @@ def read_scene(name: str | Path) -> Scene:
     else:
         try:
             text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
+        except OSError as error:
             raise InputError(
-                f"{name}: neither a readable scene file ({error}) nor one of the scenes "
+                f"{name}: neither a readable scene file ({error.strerror}) nor one of the scenes "
                 f"{', '.join(scene_names())}"
             ) from None
+        except UnicodeDecodeError:
+            raise InputError(f"{name}: is no scene file, which is UTF-8 text") from None
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

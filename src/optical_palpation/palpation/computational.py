@@ -104,7 +104,7 @@ def computational_stress(
         Standard deviation in mm of the Gaussian that smooths the imprint; by default half the
         lateral element size, the finest relief that the elements can follow.
     slip_length
-        Slip in mm over which friction builds up to 0.7 of its bound (the smoothing of Coulomb's
+        Slip in mm over which friction builds up to 0.84 of its bound (the smoothing of Coulomb's
         law); by default 0.002 of the thickness. `docs/which-friction.md` says what it changes.
     solver
         ``multigrid``, ``direct`` (sparse LU, for small grids) or ``auto``.

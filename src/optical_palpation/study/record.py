@@ -188,6 +188,18 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def check_folder(folder: Path, study: str) -> None:
+    """Refuse a result folder that holds something else than the results of a study.
+
+    Raises
+    ------
+    OutputError
+        As :func:`make_all`.
+    """
+    if folder.exists():
+        _open(folder, study)
+
+
 def _open(folder: Path, study: str) -> dict[str, Any]:
     """Make the folder, or return what its record knows about the files in it."""
     try:

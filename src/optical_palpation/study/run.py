@@ -20,7 +20,7 @@ from optical_palpation.study.inputs import (
     sample_input,
 )
 from optical_palpation.study.plausible import check_study
-from optical_palpation.study.record import Progress, make_all
+from optical_palpation.study.record import Progress, check_folder, make_all
 from optical_palpation.study.schema import MapInput, Study
 from optical_palpation.study.stages import STRESS, THICKNESS, Stages
 from optical_palpation.thickness import read_corrections, read_thickness_map
@@ -63,7 +63,10 @@ def describe_inputs(study: Study) -> str:
     ------
     InputError, MaterialError
         If an input cannot be used, or numbers do not fit together.
+    OutputError
+        If the result folder holds something else.
     """
+    check_folder(study.folder, study.file.name)
     said, inputs = [], {}
     for side, source in study.inputs.items():
         try:

@@ -106,8 +106,10 @@ def read_corrections(path: str | Path) -> Corrections:
     kinds = {"anchor": 3, "exclude": 4}
     try:
         lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: corrections cannot be read: {error}") from error
+    except OSError as error:
+        raise InputError(f"{path}: corrections cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is no file of corrections, which is UTF-8 text") from error
     anchors, exclusions = [], []
     for number, line in enumerate(lines, start=1):
         words = line.partition("#")[0].split()

@@ -180,7 +180,8 @@ def _head(path: Path) -> bytes:
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path}: cannot be opened ({error})") from error
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be opened ({reason})") from error
     if not head:
         raise InputError(f"{path}: is empty")
     return head

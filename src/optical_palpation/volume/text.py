@@ -447,7 +447,7 @@ def _lines(path: Path, comments: str, remarks: list[str] | None) -> Iterator[tup
                     after_blank = False
                 after_blank |= blank
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error})") from error
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path} is neither text in UTF-8 nor in another known format; if it is a table, save "
