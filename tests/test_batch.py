@@ -365,6 +365,12 @@ def test_all_that_takes_a_scheduler_gives_what_one_process_gives(tmp_path):
             errors = errors_of(study, each=each)
     xr.testing.assert_identical(errors, errors_of(study))
     xr.testing.assert_identical(found, op.sweep(study, values))
+    records = (tmp_path / "s" / "points").glob("*/provenance.json")
+    stages = [json.loads(path.read_text())["stages"] for path in records]
+    copied = ["copied_from" in entry["thickness.nc"] for entry in stages]
+    assert len(copied) == 4
+    assert sum(copied) >= 2  # two workers may begin at the same time
+    assert not any("copied_from" in entry["stress.nc"] for entry in stages)
     assert told[0].stage.startswith("0 of 4")
     assert told[-1] == 0.3
     xr.testing.assert_identical(curves, calibration_curves([0.1, 0.3], **slab))

@@ -156,6 +156,24 @@ def test_what_other_code_made_is_made_anew(done, monkeypatch):
     assert changed == {"algebraic.nc", "stress.nc", "profiles.csv"}
 
 
+def test_what_another_folder_holds_whole_is_copied_from_there(done):
+    damaged = done.with_name("damaged")
+    shutil.copytree(done, damaged)
+    (damaged / "thickness.nc").write_bytes(b"damaged")
+    other = {"friction.window": 0.3, "outputs.folder": "other"}
+    study = read_study(done.parent / "study.toml", other)
+    beside = [done.with_name("missing"), damaged, done, study.folder]
+    assert run_study(study, beside=beside).earlier == ()
+    kept = json.loads((study.folder / "provenance.json").read_text())["stages"]
+    copied = {file: entry.get("copied_from") for file, entry in kept.items()}
+    # the algebraic stress knows of no friction, the computational one does
+    expected = {"thickness.nc": done.name, "algebraic.nc": "damaged"}
+    assert copied == dict.fromkeys(FILES - {"provenance.json"}) | expected
+    for file in expected:
+        assert (study.folder / file).read_bytes() == (done / file).read_bytes()
+    assert set(run_study(study).earlier) == FILES - {"provenance.json"}
+
+
 def test_another_number_of_threads_makes_nothing_anew(done):
     study = read_study("study.toml", {"grid.threads": 2, "outputs.folder": "study-results"})
     assert study.grid.threads == 2

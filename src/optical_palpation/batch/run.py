@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -89,7 +89,7 @@ def run_batch(
     outcomes: dict[str, Outcome] = {}
     try:
         with connected(scheduler, workers, list(needs.values())) as crew:
-            work = partial(run_scan, folder)
+            work = partial(run_scan, folder, _alike(scans))
             tell = progress or (lambda _: None)
             jobs = {scan.name: scan for scan in scans}
             Dispatcher(crew, work, jobs, needs, outcomes, tell).run()
@@ -98,3 +98,15 @@ def run_batch(
         files = write_tables(batch, ordered)
         files.append(write_index(batch, ordered))
     return BatchResult(batch.folder, tuple(ordered), tuple(files))
+
+
+def _alike(scans: Sequence[Scan]) -> dict[str, list[str]]:
+    """By the name of a scan, those of the others with the same study and the same inputs."""
+    groups: dict[tuple[Path, str], list[str]] = {}
+    member = {}
+    for scan in scans:
+        tables = ("loaded", "unloaded", "volumes")
+        inputs = {k: v for k, v in scan.overrides.items() if k.split(".")[0] in tables}
+        member[scan.name] = groups.setdefault((scan.study, repr(sorted(inputs.items()))), [])
+        member[scan.name].append(scan.name)
+    return {name: [other for other in group if other != name] for name, group in member.items()}

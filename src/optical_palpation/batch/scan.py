@@ -6,7 +6,7 @@ import json
 import os
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,13 +31,22 @@ _FINER = 0.5
 RESULT, RECORD = "stress.nc", "provenance.json"
 
 
-def run_scan(folder: Path, scan: Scan, threads: int | None, tell: Callable[[Any], None]) -> Outcome:
+def run_scan(
+    folder: Path,
+    alike: Mapping[str, Sequence[str]],
+    scan: Scan,
+    threads: int | None,
+    tell: Callable[[Any], None],
+) -> Outcome:
     """Run the study of a scan and read its row; what fails is told and not raised.
 
     Parameters
     ----------
     folder
         Folder of the batch.
+    alike
+        By the name of a scan, those of the others with the same inputs. What does not depend on how
+        they differ is made once.
     scan
         The scan.
     threads
@@ -55,10 +64,11 @@ def run_scan(folder: Path, scan: Scan, threads: int | None, tell: Callable[[Any]
     try:
         place = {"outputs.folder": _relative(target, scan.study.parent)}
         study = read_study(scan.study, {**scan.overrides, **place})
+        beside = [folder / name for name in alike[scan.name]]
         with limited_threads(threads):
             while True:
                 try:
-                    done = run_study(study, progress=tell)
+                    done = run_study(study, beside=beside, progress=tell)
                     break
                 except FolderBusyError:
                     # A worker that was given up may not have noticed yet that nobody waits for it.

@@ -46,8 +46,9 @@ def soft_samples(setting: Setting) -> Part:
         f"The scenes are computed on elements of {1e3 * finer:.0f} um, and their loaded thickness "
         f"gets 1 um of noise on each pixel. Stress and stiffness are recovered on elements of "
         f"{1e3 * size:.0f} um with the sample in the model: its thickness, the travel of the plate "
-        "and the frictions are known, its motion is not. Errors are those of the interior, 0.5 mm "
-        "and more off the sides; bands are those of the default errors of the inputs."
+        "and the frictions are known. Its motion is not, and its law is taken for neo-Hookean "
+        "although it stiffens as the layer does. Errors are those of the interior, 0.5 mm and more "
+        "off the sides; bands are those of the default errors of the inputs."
     )
     cases = [case for case in _CASES if not setting.quick or case.scene in _COARSE]
     share = 1 / len(cases)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -80,6 +81,7 @@ def make_all(
     until: str | None = None,
     *,
     check_inputs: Callable[[], None] = lambda: None,
+    beside: Sequence[Path] = (),
 ) -> tuple[list[str], list[str]]:
     """Make the files that are not there yet, and remove those that are no longer true.
 
@@ -100,6 +102,8 @@ def make_all(
     check_inputs
         Called when a file is made and before it counts as done; raises if the inputs are no longer
         those that `about` and the stages tell of.
+    beside
+        Other result folders. A file that one of them holds with the same key is copied from there.
 
     Returns
     -------
@@ -117,7 +121,7 @@ def make_all(
     with _alone(folder):
         # what it holds may have changed before the lock was ours
         known = _open(folder, study)
-        return _make_all(folder, study, about, stages, known, tell, until, check_inputs)
+        return _make_all(folder, study, about, stages, known, tell, until, check_inputs, beside)
 
 
 def _make_all(
@@ -129,6 +133,7 @@ def _make_all(
     tell: Tell,
     until: str | None,
     check_inputs: Callable[[], None],
+    beside: Sequence[Path],
 ) -> tuple[list[str], list[str]]:
     keys: dict[str, str] = {}
     for stage in stages:
@@ -163,8 +168,12 @@ def _make_all(
         if stage.file in done:
             continue
         started = time.monotonic()
+        origin = {}
         try:
-            stage.make(folder / stage.file, tell)
+            if source := _copied(folder / stage.file, keys[stage.file], beside):
+                origin = {"copied_from": source.name}
+            else:
+                stage.make(folder / stage.file, tell)
             check_inputs()
         except (InputError, ConvergenceError) as error:
             (folder / stage.file).unlink(missing_ok=True)
@@ -175,11 +184,30 @@ def _make_all(
             "software_version": software_version(),
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
             "seconds": round(time.monotonic() - started, 2),
+            **origin,
         }
         _write(folder, record)
     record["complete"] = done.keys() == keys.keys()
     _write(folder, record)
     return [file for file in keys if file in done], earlier
+
+
+def _copied(path: Path, key: str, beside: Sequence[Path]) -> Path | None:
+    """Copy a file from the first other folder that holds it whole; return that folder."""
+    for folder in beside:
+        try:
+            record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+            entry = record["stages"][path.name]
+            if folder == path.parent or entry["key"] != key:
+                continue
+            with replacing(path) as temporary:
+                shutil.copyfile(folder / path.name, temporary)
+                if sha256(temporary) != entry["sha256"]:
+                    raise ValueError("not the file that the record tells of")
+        except (OSError, OutputError, ValueError, KeyError, TypeError):  # not there, or no longer
+            continue
+        return folder
+    return None
 
 
 def sha256(path: Path) -> str:

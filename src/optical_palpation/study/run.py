@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -97,6 +97,7 @@ def run_study(
     study: Study,
     *,
     thickness_only: bool = False,
+    beside: Sequence[Path] = (),
     progress: Callable[[Any], None] | None = None,
 ) -> StudyResult:
     """Do everything that a study file asks for; go on where an earlier run was interrupted.
@@ -111,6 +112,9 @@ def run_study(
         As :func:`read_study` gives it.
     thickness_only
         Stop before the stress, to look at the boundaries first.
+    beside
+        Result folders of other studies. What they hold that would be the same here, such as the
+        boundaries in the same volumes, is copied.
     progress
         Called now and then with an object that has ``stage`` (text), ``load`` (share that is
         done; of the load in the computational method), ``newton`` (iterations, or None) and
@@ -146,6 +150,13 @@ def run_study(
     plan = stages.plan(inputs)
     until = THICKNESS if thickness_only else None
     files, earlier = make_all(
-        study.folder, study.file.name, about, plan, tell, until, check_inputs=unchanged
+        study.folder,
+        study.file.name,
+        about,
+        plan,
+        tell,
+        until,
+        check_inputs=unchanged,
+        beside=beside,
     )
     return StudyResult(study.folder, tuple(files), tuple(earlier), stages)
