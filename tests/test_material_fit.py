@@ -235,6 +235,7 @@ def test_every_convention_reads_as_the_same_test(tmp_path):
         "compressive strain,compression stress MPa": (e, engineering / 1000),
         "compression_mm,load_N": (30.0 * e, engineering * 1962.5 / 1000),
         "displacement um,force mN": (30000.0 * e, -engineering * 1962.5),
+        "Extension (mm),Load (N)": (-30.0 * e, -engineering * 1962.5 / 1000),
     }
     for header, columns in files.items():
         test = read_uniaxial_test(
@@ -255,6 +256,10 @@ def test_every_convention_reads_as_the_same_test(tmp_path):
     np.testing.assert_allclose(test.strain, -e, rtol=1e-8)
     np.testing.assert_allclose(test.stress, -true, rtol=1e-8)
     np.testing.assert_allclose(read_uniaxial_test(both).stress, -engineering, rtol=1e-8)
+    only = write(tmp_path / "t.csv", "true strain,true stress (kPa)", -logarithmic, -true)
+    np.testing.assert_allclose(read_uniaxial_test(only).stress, -true, rtol=1e-8)
+    with pytest.raises(InputError, match="but the columns are: true strain"):
+        read_uniaxial_test(only, measure="engineering")
 
 
 def test_tension_and_unloading(tmp_path):
@@ -270,6 +275,9 @@ def test_tension_and_unloading(tmp_path):
     assert read_uniaxial_test(path, loading="compression").stress[-1] == pytest.approx(-6.0)
 
 
+SLOPE = "0,0\n-.1,-1\n-.2,-2\n-.3,-3\n-.4,-4\n"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -282,6 +290,9 @@ def test_tension_and_unloading(tmp_path):
         ("displacement,stress\n0,0\n-1,-1\n-2,-2\n-3,-3\n-4,-4\n", "height"),
         ("strain,force\n0,0\n-.1,-1\n-.2,-2\n-.3,-3\n-.4,-4\n", "area"),
         ("strain,strain b,stress\n0,0,0\n-.1,0,0\n-.2,0,0\n-.3,0,0\n-.4,0,0\n", "name one"),
+        ("strain (%),stress\n" + SLOPE, "a strain of 0.004 only"),
+        ("strain,stress (Pa)\n" + SLOPE, "modulus of 0.01"),
+        ("strain,stress\n" + "\n".join(SLOPE.split()[::-1]), "largest in data row 1"),
     ],
 )
 def test_bad_tables_are_refused(tmp_path, text, message):
@@ -293,6 +304,10 @@ def test_bad_tables_are_refused(tmp_path, text, message):
 
 
 def test_bad_calls_are_refused(tmp_path):
+    path = write(tmp_path / "t.csv", "compression,force (mN)", [0, 1, 2, 3, 4], [0, 1, 2, 3, 4])
+    for options, said in (({"loading": "comp"}, "loading"), ({"height": "5"}, "height")):
+        with pytest.raises(InputError, match=said):
+            read_uniaxial_test(path, **{"height": 5.0, "area": 1.0} | options)
     test = UniaxialTest(np.linspace(0.6, 0.99, 20), np.linspace(-9.0, -0.1, 20))
     with pytest.raises(InputError, match="choose one of"):
         fit_uniaxial(test, "hooke")

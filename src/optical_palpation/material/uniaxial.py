@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from optical_palpation.arguments import choice, file_path, number
 from optical_palpation.errors import InputError
 from optical_palpation.volume.text import Columns, read_columns
 
@@ -44,6 +45,8 @@ _REMARKS |= {"compressive", "tensile", "axial", "abs", "mean", "average", "corre
 _LARGEST_STRAIN = 3.0
 # kPa, secant moduli of layers; and of the hardest rubbers.
 _SOFTEST, _STIFFEST, _HARDEST = 0.1, 5e3, 2e4
+# A test that reaches less tells no law: its strain is a fraction, called a percentage.
+_SMALLEST_STRAIN = 0.01
 
 
 @dataclass(frozen=True)
@@ -193,9 +196,17 @@ def read_uniaxial_test(
     InputError
         The file cannot be read, columns are missing or ambiguous, or numbers are impossible.
     """
-    path = Path(path)
+    path = file_path(path)
+    if loading is not None:
+        choice(loading, "loading", "compression", "tension")
+    height, area = (
+        None if value is None else number(value, name)
+        for name, value in (("height", height), ("area", area))
+    )
     table = read_columns(path)
-    strain_name = strain or _find(table, path, measure, "strain", "displacement compression")
+    strain_name = strain or _find(
+        table, path, measure, "strain", "displacement compression extension"
+    )
     stress_name = stress or _find(table, path, measure, "stress", "force load")
     x, y = (table.numbers(name) for name in (strain_name, stress_name))
     if x.size < 5:
@@ -237,9 +248,19 @@ def read_uniaxial_test(
         y = y * _FORCE_UNITS[stress_unit or "n"] / area
         found = "engineering"
 
-    if (largest := np.abs(x).max()) > 0.0:
+    if 0.0 < (largest := np.abs(x).max()) < _SMALLEST_STRAIN:
+        raise InputError(
+            f"{path}: column {strain_name!r} reaches a strain of {largest:.3g} only; is its unit "
+            "(or the height) another one?"
+        )
+    if largest > 0.0:
         _check_modulus(float(np.abs(y).max() / largest), stress_name, stress_unit, path)
     end = int(np.argmax(np.abs(x)))
+    if end < 4:
+        raise InputError(
+            f"{path}: the strain is largest in data row {end + 1}; what follows is unloading "
+            "and is dropped. Sort the rows as they were measured, from no load on"
+        )
     x, y = x[: end + 1], y[: end + 1]
     sign = _direction(x, y, f"{strain_name} {stress_name}", loading, path)
     x = sign * np.sign(x[-1]) * x
@@ -250,7 +271,7 @@ def read_uniaxial_test(
 
 def _check_modulus(modulus: float, name: str, unit: str | None, path: Path) -> None:
     """Refuse a secant modulus (kPa) of no layer."""
-    low, high = (_SOFTEST, _STIFFEST) if unit is None else (0.0, _HARDEST)
+    low, high = _SOFTEST, _STIFFEST if unit is None else _HARDEST
     if low <= modulus <= high:
         return
     assumed = "kPa" if "stress" in _words(name) else "N"
@@ -281,6 +302,12 @@ def _find(table: Columns, path: Path, measure: Measure | None, first: str, other
         of_measure = [
             name for name in found if _measure_of(name) in (measure or "engineering", None)
         ]
+        if found and not of_measure:
+            if measure is not None:
+                raise InputError(
+                    f"{path}: measure = {measure!r}, but the columns are: {', '.join(found)}"
+                )
+            of_measure = found
         if len(of_measure) == 1:
             return of_measure[0]
         if len(of_measure) > 1:
