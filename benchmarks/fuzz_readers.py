@@ -34,7 +34,12 @@ from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
+import numpy as np
+import tifffile
+from PIL import Image
+
 import map_files
+import study_case
 import volume_samples
 from volume_sandbox import Sandbox
 
@@ -214,6 +219,10 @@ def families() -> dict[str, list[Write]]:
         "uniaxial": [_uniaxial],
         "profile": [_profile],
         "corrections": [_corrections],
+        "pair": [_pair],
+        "study": [_study],
+        "batch": [_batch_csv, _batch_toml],
+        "regions": [_imagej, _napari, _outlines, *map(_labels, ("tif", "png", "npy"))],
     }
 
 
@@ -264,6 +273,74 @@ def _corrections(folder: Path) -> tuple[str, Path, dict[str, Any]]:
     return "corrections", folder / "corrections.txt", {}
 
 
+def _pair(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    volume = volume_samples.volume(dtype="complex64")
+    for name in ("before.npz", "after.npz"):
+        np.savez(folder / name, scan=volume, axes="zyx", spacing_mm=[0.004, 0.02, 0.01])
+    return "pair", folder / "before.npz", {}
+
+
+def _study(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    np.save(folder / "loaded.npy", map_files.MAP)
+    loaded = 'map = "loaded.npy"\nfield_of_view = [2.0, 1.5]'
+    (folder / "study.toml").write_text(study_case.map_study(loaded))
+    return "study", folder / "study.toml", {}
+
+
+def _batch_csv(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    rows = "name,study,friction.window\na,study.toml,0.1\nb,study.toml,0.2\n"
+    (folder / "batch.csv").write_text(rows)
+    return "batch", folder / "batch.csv", {}
+
+
+def _batch_toml(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    text = 'study = "study.toml"\n[overrides]\n"grid.threads" = 1\n[sweep]\n'
+    (folder / "batch.toml").write_text(text + '"friction.window" = [0.1, 0.2, 0.3]\n')
+    return "batch", folder / "batch.toml", {}
+
+
+def _imagej(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    import roifile
+
+    outline = np.array([[1, 1], [6, 2], [4, 6]], float)
+    roi = roifile.ImagejRoi.frompoints(outline, name="edge")
+    roi.tofile(folder / "one.roi")
+    with zipfile.ZipFile(folder / "regions.zip", "w") as archive:
+        archive.writestr("one.roi", (folder / "one.roi").read_bytes())
+    (folder / "one.roi").unlink()
+    return "regions", folder / "regions.zip", {}
+
+
+def _napari(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    rows = [f"0,polygon,{n},{y},{x}" for n, (y, x) in enumerate(((1, 1), (1, 6), (5, 4)))]
+    text = "\n".join(["index,shape-type,vertex-index,axis-0,axis-1", *rows])
+    (folder / "shapes.csv").write_text(text + "\n")
+    return "regions", folder / "shapes.csv", {}
+
+
+def _outlines(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+    text = "name,x_mm,y_mm\na,0.2,0.3\na,1.2,0.3\na,0.8,1.5\n"
+    (folder / "outlines.csv").write_text(text)
+    return "regions", folder / "outlines.csv", {}
+
+
+def _labels(suffix: str) -> Write:
+    labels = np.zeros((8, 9), np.uint8)
+    labels[2:5, 3:7] = 1
+
+    def write(folder: Path) -> tuple[str, Path, dict[str, Any]]:
+        path = folder / f"labels.{suffix}"
+        if suffix == "npy":
+            np.save(path, labels)
+        elif suffix == "tif":
+            tifffile.imwrite(path, labels)
+        else:
+            Image.fromarray(labels).save(path)
+        return "regions", path, {}
+
+    return write
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
@@ -287,7 +364,7 @@ def main() -> int:
                 folder = root / f"{family}-{number}"
                 folder.mkdir()
                 what, path, facts = write(folder)
-                if options.untrusted and what in ("volume", "map", "motion", "relief"):
+                if options.untrusted and what in ("volume", "map", "motion", "relief", "pair"):
                     facts = facts | {"untrusted": True}
                 corpus.setdefault(family, []).append(Sample(family, what, path, facts))
         files = [p for p in root.rglob("*") if p.is_file()]

@@ -61,10 +61,13 @@ class Sandbox:
 
 def worker(pipe: Connection) -> None:
     """Open the files whose paths come through the pipe; reply with the outcome."""
+    import optical_palpation.analysis
+    import optical_palpation.batch
     import optical_palpation.experiment
     import optical_palpation.friction
     import optical_palpation.material
     import optical_palpation.palpation
+    import optical_palpation.study
     import optical_palpation.thickness
     import optical_palpation.volume  # noqa: F401
     from optical_palpation.errors import InputError
@@ -85,6 +88,8 @@ def worker(pipe: Connection) -> None:
             caught_at_last = (
                 error.__cause__ if "damaged, truncated or unsupported (" in text else None
             )
+            while isinstance(caught_at_last, InputError):  # said again, with the file's name
+                caught_at_last = caught_at_last.__cause__
             if caught_at_last is not None and (place := _own_place(caught_at_last)):
                 text = f"unforeseen: {place}"
         except BaseException as error:
@@ -153,6 +158,36 @@ def _read_corrections(path: str, facts: dict[str, Any]) -> None:
     read_corrections(path)
 
 
+def _read_pair(path: str, facts: dict[str, Any]) -> None:
+    from optical_palpation.friction import read_pair
+
+    read_pair(path, Path(path).with_name("after.npz"), **facts)
+
+
+def _read_study(path: str, facts: dict[str, Any]) -> None:
+    from optical_palpation.study import describe_inputs, read_study
+
+    describe_inputs(read_study(path))
+
+
+def _read_batch(path: str, facts: dict[str, Any]) -> None:
+    from optical_palpation.batch import read_batch
+
+    read_batch(path)
+
+
+def _read_regions(path: str, facts: dict[str, Any]) -> None:
+    import numpy as np
+    import xarray as xr
+
+    from optical_palpation.analysis import read_regions
+
+    at = {"y": 0.3 * np.arange(8), "x": 0.2 * np.arange(9)}
+    like = xr.DataArray(np.ones((8, 9)), at, ("y", "x"), attrs={"units": "kPa"})
+    for region in read_regions(path, like):
+        region.weights(like)
+
+
 READ = {
     "volume": _read_volume,
     "map": _read_map,
@@ -163,6 +198,10 @@ READ = {
     "uniaxial": _read_uniaxial,
     "profile": _read_profile,
     "corrections": _read_corrections,
+    "pair": _read_pair,
+    "study": _read_study,
+    "batch": _read_batch,
+    "regions": _read_regions,
 }
 
 
