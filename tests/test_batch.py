@@ -158,6 +158,7 @@ def test_folder(tmp_path):
         ("t.toml", "[[scan]]\nname = 'a'", "study is missing"),
         ("t.toml", "study = 's'\nscan = 4", "array of tables"),
         ("t.toml", "study =", "no valid TOML"),
+        ("t.toml", "study = " + "[" * 5000, "no valid TOML"),
         ("t.xlsx", "", "a batch is a table"),
     ],
 )
@@ -168,6 +169,8 @@ def test_tables_that_cannot_be_used(tmp_path, name, text, told):
         read_batch(path)
     with pytest.raises(InputError, match="no such file"):
         read_batch(tmp_path / "none.csv")
+    with pytest.raises(InputError, match="File name too long"):
+        read_batch(tmp_path / f"{'n' * 300}.csv")
 
 
 @given(content=st.binary(max_size=300) | st.text(max_size=300).map(str.encode))

@@ -339,6 +339,9 @@ def test_shipped_scenes_are_whole():
         ("[friction]\nwindow = -0.1", "friction.window"),
         ("[friction]\nwindow = 9.0", "friction.window"),
         ("[mesh]\nelement_size = 0", "mesh.element_size"),
+        ("compression = true", "compression"),
+        ("compression = '0.1'", "compression"),
+        ("compression = " + "[" * 5000, "no TOML"),
     ],
 )
 def test_bad_scene_files_are_named(tmp_path, text, message):
@@ -390,6 +393,12 @@ def test_unknown_scene_lists_the_known():
         ),
         ({"sample__relief": ({"kind": "file", "path": "missing.nc"},)}, "missing.nc"),
         ({"sample__stiffness": ({"kind": "file", "path": "missing.nc"},)}, "missing.nc"),
+        (
+            {"sample__relief": ({"kind": "sinusoid", "amplitude": 0.01, "wavelength": 1e-3},)},
+            "wavelength of 0.001 mm is too short",
+        ),
+        ({"pixel_spacing": 10.0}, "pixel_spacing: 10 mm must lie between"),
+        ({"pixel_spacing": 1e-5}, "pixel_spacing"),
         (
             {"sample__relief": ({"kind": "random", "rms": 0.01, "correlation_length": 1e-5},)},
             "correlation_length",

@@ -122,6 +122,8 @@ def test_regions_that_cannot_be_used():
         region_statistics(maps, [])
     with pytest.raises(InputError, match="three vertices"):
         Region.polygon("line", [(0, 0), (1, 1)])
+    with pytest.raises(InputError, match="on a line and enclose no area"):
+        Region.polygon("line", [(0, 0), (1, 1), (3, 3)])
     with pytest.raises(InputError, match="x0 < x1"):
         Region.rectangle("turned", 3, 2, 0, 1)
     with pytest.raises(InputError, match="true somewhere"):
@@ -204,9 +206,10 @@ def test_napari_shapes_count_from_the_centre_of_the_first_pixel(tmp_path):
     assert float(found["area"][0]) == pytest.approx(1.0)
     assert float(found["mean"][0]) == pytest.approx(-X[5:15].mean())
     assert float(found["area"][1]) == pytest.approx(np.pi / 4, rel=0.01)
-    napari_table(tmp_path / "l.csv", [("line", [(0, 0), (1, 1)])])
-    with pytest.raises(InputError, match="no area"):
-        read_regions(tmp_path / "l.csv", maps)
+    for kind, message in (("line", "no area"), ("star", "a 'star', which is not known")):
+        napari_table(tmp_path / "l.csv", [(kind, corners[:3])])
+        with pytest.raises(InputError, match=message):
+            read_regions(tmp_path / "l.csv", maps)
 
 
 @pytest.mark.parametrize("ending", ["tif", "npy", "png"])
@@ -289,6 +292,10 @@ def test_masks_that_programs_show_differently_are_refused(tmp_path):
         tifffile.imwrite(tmp_path / "mask.tif", mask, **options)
         with pytest.raises(InputError, match=message):
             read_regions(tmp_path / "mask.tif", maps)
+    smooth = np.where(mask == 0, np.arange(mask.shape[1]) * 9, mask).astype(np.uint8)
+    tifffile.imwrite(tmp_path / "smooth.tif", smooth)
+    with pytest.raises(InputError, match="greys up to 255 are no labels"):
+        read_regions(tmp_path / "smooth.tif", maps)
     tifffile.imwrite(tmp_path / "mask.tif", mask, compression="zlib")
     (region,) = read_regions(tmp_path / "mask.tif", maps)
     assert float(region.weights(maps["axial_stress"]).sum()) == 32

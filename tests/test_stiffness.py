@@ -256,6 +256,8 @@ def test_a_sample_that_does_not_fit_is_refused_with_its_place(columns):
         ({"plate_friction": 3.0}, "plate_friction must lie in"),
         ({"compression": None}, "give the compression"),
         ({"compression": None, "total_force": -1.0}, "total force, -1 mN, must be positive"),
+        ({"compression": None, "total_force": 0.05}, "total force, 0.05 mN, is far from"),
+        ({"compression": None, "total_force": 5e4}, "total force, 50000 mN, is far from"),
         ({"compression": (0.2, 0.3)}, "2 values of the compression for 1 maps"),
         ({"relief": "bumpy"}, "a map or .flat., not 'bumpy'"),
     ],
@@ -264,7 +266,7 @@ def test_samples_that_cannot_be_are_refused(columns, changed, match):
     loaded = measured(columns)
     unloaded = xr.full_like(loaded, 0.5)
     with pytest.raises(InputError, match=match):
-        check_sample(known(columns, **changed), loaded, unloaded)
+        check_sample(known(columns, **changed), loaded, unloaded, columns.scene.layer.material)
 
 
 @pytest.mark.parametrize(
@@ -281,10 +283,17 @@ def test_series_that_cannot_be_are_refused(columns, changed, match):
     loaded = measured(columns)
     unloaded = xr.full_like(loaded, 0.5)
     with pytest.raises(InputError, match=match):
-        check_sample(known(columns, **changed), [loaded, loaded], unloaded)
+        check_sample(
+            known(columns, **changed), [loaded, loaded], unloaded, columns.scene.layer.material
+        )
     part = loaded.sel(x=slice(0.0, 2.0))
     with pytest.raises(InputError, match=r"map 1 of 2 shows a layer of x 0 to 1\.95"):
-        check_sample(known(columns, compression=(0.2, 0.3)), [part, loaded], unloaded)
+        check_sample(
+            known(columns, compression=(0.2, 0.3)),
+            [part, loaded],
+            unloaded,
+            columns.scene.layer.material,
+        )
 
 
 def test_no_contact_is_an_error(columns):

@@ -154,6 +154,7 @@ def test_files_that_are_not_trusted(here):
         ("[grid]", "[grid", ["no valid TOML", "line"]),
         ("c10 = 2.23", "c10 = (2, 1)", ["no valid TOML", "line 14", "c10 = (2, 1)"]),
         ("threads = 1", 'threads = "', ["no valid TOML"]),
+        ("threads = 1", "threads = " + 5000 * "[", ["no valid TOML"]),
     ],
 )
 def test_errors_name_file_key_value_and_what_would_be_right(here, old, new, words):
@@ -191,6 +192,20 @@ def test_a_number_cannot_be_registered(here):
     text = STUDY.replace('volume = "unloaded.npy"', "thickness = 0.4")
     make_study(here, text + "[layer]\nregistration = true\n")
     with pytest.raises(InputError, match=r"layer\.registration = true needs"):
+        read_study("study.toml")
+
+
+def test_a_file_of_the_windows_editor_is_read(here):
+    make_study(here, STUDY)
+    (here / "marked.toml").write_bytes(b"\xef\xbb\xbf" + STUDY.replace("\n", "\r\n").encode())
+    assert read_study("marked.toml").material == read_study("study.toml").material
+
+
+def test_names_longer_than_a_file_system_takes(here):
+    with pytest.raises(InputError, match="File name too long"):
+        read_study(f"{'n' * 300}.toml")
+    make_study(here, STUDY.replace("loaded.npy", f"{'n' * 300}.npy"))
+    with pytest.raises(InputError, match=r"n\.npy.*no such file|n\.npy"):
         read_study("study.toml")
 
 

@@ -83,6 +83,9 @@ class Region:
             )
         if not np.isfinite(outline).all():
             raise InputError(f"region {name!r}: a vertex is not finite")
+        spread = np.linalg.svd(outline - outline.mean(axis=0), compute_uv=False)
+        if spread[1] <= 1e-9 * spread[0]:
+            raise InputError(f"region {name!r}: its vertices lie on a line and enclose no area")
         return cls(name, (outline,))
 
     @classmethod

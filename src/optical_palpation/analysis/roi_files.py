@@ -26,6 +26,7 @@ from optical_palpation.volume.text import MAX_VALUES, Columns, read_columns
 _ENDINGS = ".roi or .zip (ImageJ), .csv (napari, or name, x_mm, y_mm), .tif, .png or .npy (masks)"
 _LARGEST = 50_000_000  # bytes; an outline is a thousandth of that
 _MOST_REGIONS = 10_000
+_MOST_GREYS = 4
 _ORIENTATION = 274  # tag of TIFF and EXIF
 _NAPARI = ["index", "shape-type", "vertex-index", "axis-0", "axis-1"]
 
@@ -118,6 +119,8 @@ def _imagej(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
             raise InputError(
                 f"{path}: {name!r} is a {kind.lower()}, which has no area; save areas only"
             )
+        if kind == "RECT" and roi.rounded_rect_arc_size:
+            raise InputError(f"{path}: {name!r} has rounded corners; save it as a polygon")
         outlines = roi.coordinates(multi=True)
         if not isinstance(outlines, list):
             outlines = [outlines]
@@ -173,6 +176,8 @@ def _shapes(path: Path, table: Columns, field: xr.DataArray) -> list[Region]:
         kind = table.rows[rows[0]].cells[at]
         if kind in ("line", "path"):
             raise InputError(f"{path}: shape {number:g} is a {kind}, which has no area")
+        if kind not in ("polygon", "rectangle", "ellipse"):
+            raise InputError(f"{path}: shape {number:g} is a {kind!r}, which is not known")
         placed = _placed(np.column_stack(corners)[rows], field)
         make = Region.ellipse_in_box if kind == "ellipse" else Region.polygon
         regions.append(make(f"{kind} {number:g}", placed))
@@ -192,6 +197,11 @@ def _labels(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
     found = [number for number in np.unique(labels) if number > 0]
     if len(found) > _MOST_REGIONS:
         raise InputError(f"{path}: {len(found)} different numbers are no labels of regions")
+    if labels.dtype == np.uint8 and 255 in found and len(found) > _MOST_GREYS:
+        raise InputError(
+            f"{path}: {len(found)} greys up to 255 are no labels: a mask was smoothed, or "
+            "compressed with losses; save it with two values"
+        )
     here = {"y": field["y"], "x": field["x"]}
     one = path.stem if len(found) == 1 else None
     return [

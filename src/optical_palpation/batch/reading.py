@@ -96,7 +96,7 @@ def read_batch(
         when the study is run.
     """
     source = Path(source)
-    if source.is_dir():
+    if os.path.isdir(source):
         scans = list(_studies(source))
         settings: dict[str, Any] = {}
     else:
@@ -124,7 +124,7 @@ def read_batch(
         seen[scan.name.casefold()] = n
     if regions is not None:
         shared = Path(regions)
-        if not shared.is_file():
+        if not os.path.isfile(shared):
             raise InputError(f"{shared}: no such file of regions")
         scans = [replace(scan, regions=scan.regions or shared) for scan in scans]
     given = settings.get("folder")
@@ -216,7 +216,7 @@ def _check_columns(source: Path, header: Sequence[str]) -> None:
 def _from_toml(source: Path, text: str) -> tuple[list[Scan], dict[str, Any]]:
     try:
         given = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{source}: is no valid TOML: {error}") from error
     known = {"study": str, "folder": str, "regions": str, "overrides": dict, "sweep": dict}
     rows: Any = given.pop("scan", [{}])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -33,9 +34,9 @@ def read(path: Path) -> StressResult:
     """Read a result, or that in the result folder of a study."""
     from optical_palpation.present import read_result
 
-    file = path / "stress.nc" if path.is_dir() else path
-    if path.suffix.lower() == ".toml" or (path.is_dir() and not file.is_file()):
-        inside = sorted((path if path.is_dir() else path.parent).glob("*/stress.nc"))
+    file = path / "stress.nc" if os.path.isdir(path) else path
+    if path.suffix.lower() == ".toml" or (os.path.isdir(path) and not os.path.isfile(file)):
+        inside = sorted((path if os.path.isdir(path) else path.parent).glob("*/stress.nc"))
         made = f"such as {inside[0].parent}" if inside else "which 'optical-palpation run' makes"
         raise InputError(f"{path}: is no result; give the result folder of a study, {made}")
     return read_result(file)
@@ -191,8 +192,8 @@ def _named(results: Sequence[Path]) -> dict[str, Path]:
     whole = [path.resolve() for path in results]
     if len(set(whole)) < len(whole):
         raise typer.BadParameter("the same result is given twice")
-    files = [_study_name(path) if path.is_dir() else path.stem for path in whole]
-    folders = [path.name if path.is_dir() else path.parent.name for path in whole]
+    files = [_study_name(path) if os.path.isdir(path) else path.stem for path in whole]
+    folders = [path.name if os.path.isdir(path) else path.parent.name for path in whole]
     for names in (files, folders, [str(path) for path in results]):
         if len(set(names)) == len(names):
             break
@@ -229,7 +230,7 @@ def report(
 
     present.check_outputs({"report": output}, [result])
     one = read(result)
-    source = result / "stress.nc" if result.is_dir() else result
+    source = result / "stress.nc" if os.path.isdir(result) else result
     beside = source.resolve().parent == output.resolve().parent
     named = _named([result, *(compare or ())])
     others = {name: read(path) for name, path in named.items() if path != result}

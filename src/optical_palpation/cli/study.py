@@ -110,7 +110,11 @@ def run(
 
 def _run(asked: Study, thickness_only: bool, quiet: bool) -> None:
     from optical_palpation import present, study
+    from optical_palpation.palpation.plausibility import unusual_layer
 
+    told = unusual_layer(asked.material.make())
+    for warning in () if quiet else told:  # before minutes of work
+        print(f"WARNING: {asked.file}, [material]: {warning}", flush=True)
     with ProgressDisplay(quiet) as progress:
         done = study.run_study(asked, thickness_only=thickness_only, progress=progress)
     if quiet:
@@ -123,6 +127,8 @@ def _run(asked: Study, thickness_only: bool, quiet: bool) -> None:
             if not any(text.startswith(line.removeprefix("WARNING: ")) for text in warnings):
                 print(line)
         for warning in warnings:
+            if warning in told:
+                continue
             print(f"WARNING: {warning}")
     for name in done.files:
         print(f"{done.folder / name}{' (from an earlier run)' if name in done.earlier else ''}")

@@ -27,9 +27,9 @@ from optical_palpation.volume.opening import MAP_READERS, open_contents
 from optical_palpation.volume.units import is_unit_key, stated_unit
 
 Array = NDArray[np.float64]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Coefficient = Annotated[float, Field(ge=0, le=2)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+Coefficient = Annotated[float, Field(ge=0, le=2, strict=True)]
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Range = tuple[Finite, Finite]
 
 
@@ -283,7 +283,7 @@ def read_scene(name: str | Path) -> Scene:
         text = source.read_text(encoding="utf-8")
     else:
         try:
-            text = path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8-sig")
         except OSError as error:
             raise InputError(
                 f"{name}: neither a readable scene file ({error.strerror}) nor one of the scenes "
@@ -293,7 +293,7 @@ def read_scene(name: str | Path) -> Scene:
             raise InputError(f"{name}: is no scene file, which is UTF-8 text") from None
     try:
         content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{name}: is no TOML file: {error}") from None
     try:
         scene = Scene.model_validate(content)

@@ -57,6 +57,12 @@ class ExperimentResult:
     scene: Scene
 
 
+#: Elements that the finest lengths of a relief, or of a stiffness, need at least.
+_FINEST = {"wavelength": 2.0, "correlation_length": 0.5}
+#: Across a map.
+MAX_PIXELS = 4096
+
+
 def run_experiment(
     scene: Scene,
     *,
@@ -168,6 +174,21 @@ def _check(scene: Scene) -> None:
         )
     if not 1e-4 < layer.shear_modulus / sample.shear_modulus < 1e4:
         raise InputError("sample: stiffer or softer than the layer by more than a factor of 10000")
+    element = scene.mesh.element_size
+    for part in (*scene.sample.relief, *scene.sample.stiffness):
+        for name, elements in _FINEST.items():
+            length = getattr(part, name, None)
+            if length is not None and length < elements * element:
+                raise InputError(
+                    f"sample: a {name} of {length:g} mm is too short for elements of {element:g} "
+                    f"mm, of which it needs {elements:g}; lengths are in mm"
+                )
+    spacing, width = scene.pixel_spacing, min(scene.layer.size)
+    if spacing is not None and not width / MAX_PIXELS <= spacing <= 0.5 * width:
+        raise InputError(
+            f"pixel_spacing: {spacing:g} mm must lie between {width / MAX_PIXELS:.3g} and "
+            f"{0.5 * width:g} mm for a layer {width:g} mm wide"
+        )
 
 
 def _advice(scene: Scene) -> str:

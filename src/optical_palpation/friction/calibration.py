@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -269,7 +270,7 @@ def read_calibration(
         or region (by more than 2 %).
     """
     path = Path(path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"{path}: no such file")
     try:
         with hdf5.open_file(path):  # refuses what is no NetCDF-4 file, or damaged

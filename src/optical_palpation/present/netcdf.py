@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -101,9 +102,9 @@ def read_result(path: str | Path) -> StressResult:
         The file is missing, damaged or no NetCDF-4 file, or holds no stress result.
     """
     path = file_path(path)
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError(f"{path}: is a folder; a result is a file in it, such as stress.nc")
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"{path}: no such file")
     with path.open("rb") as stream:
         if not hdf5.recognises(path, stream.read(2056)):

@@ -12,13 +12,16 @@ import xarray as xr
 from optical_palpation.arguments import check_instance, numbers
 from optical_palpation.errors import InputError
 from optical_palpation.material import Law
-from optical_palpation.palpation.plausibility import WIDEST_FIELD
+from optical_palpation.palpation.plausibility import LARGEST_MEAN_STRESS, WIDEST_FIELD
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 
 #: Share of the sample's thickness by which it can be compressed at most.
 _MOST_COMPRESSED = 0.7
 #: Loads must differ by this share of the travel, or force, at least.
 _DIFFERENT = 0.02
+#: Least and most force, in multiples of what the layer bears by uniaxial stress alone: where it
+#: sticks, a thin one bears much more.
+_FORCES = (1e-2, 1e3)
 _MEANING = {
     "compression": ": it is how far the plate moves after layer and sample have met",
 }
@@ -118,7 +121,10 @@ def as_loads(loaded: xr.DataArray | Sequence[xr.DataArray]) -> list[xr.DataArray
 
 
 def check_sample(
-    sample: Sample, loaded: xr.DataArray | Sequence[xr.DataArray], initial: xr.DataArray
+    sample: Sample,
+    loaded: xr.DataArray | Sequence[xr.DataArray],
+    initial: xr.DataArray,
+    layer: Law,
 ) -> None:
     """Refuse a sample that cannot be, or cannot be pressed like that.
 
@@ -130,6 +136,8 @@ def check_sample(
         The loaded thickness, mm, or that of each load, in the order of loading.
     initial
         The unloaded thickness on the pixels of the last one, mm.
+    layer
+        Law of the layer.
 
     Raises
     ------
@@ -146,6 +154,8 @@ def check_sample(
     inside = inside_layer(loads[-1])
     if not bool((initial - loads[-1]).where(inside).max() > 0):
         raise InputError("the sample does not touch the layer: it is nowhere thinner than unloaded")
+    if sample.forces is not None:
+        _check_force(sample.forces[-1], loads[-1], initial, layer)
     if sample.travels is None:
         if sample.relief_is_sought:
             raise InputError(
@@ -207,6 +217,21 @@ def _check_numbers(sample: Sample, loads: int) -> None:
                 f"sample: the {words[name]} must rise from map to map, by {_DIFFERENT:.0%} of the "
                 f"largest at least, not {said} {units}: give the maps in the order of loading"
             )
+
+
+def _check_force(force: float, loaded: xr.DataArray, initial: xr.DataArray, layer: Law) -> None:
+    """Refuse a force (mN) far from what the thinning of the layer can take."""
+    x0, x1, y0, y1 = layer_extent_of(loaded)
+    area = (x1 - x0) * (y1 - y0)
+    thinning = float((1.0 - loaded / initial).clip(min=0.0).where(inside_layer(loaded)).mean())
+    bears = area * thinning * layer.initial_youngs_modulus
+    low, high = _FORCES[0] * bears, min(_FORCES[1] * bears, LARGEST_MEAN_STRESS * area)
+    if not low <= force <= high:
+        raise InputError(
+            f"sample: the total force, {force:g} mN, is far from the {bears:.2g} mN or so that a "
+            f"layer of this stiffness bears where it is pressed as the map shows ({low:.2g} to "
+            f"{high:.2g} mN could be). It is in mN"
+        )
 
 
 def _check_number(name: str, value: Any) -> None:

@@ -120,7 +120,7 @@ def sample_stress(
     """
     loads = as_loads(loaded)
     initial = match_initial_thickness(initial_thickness, loads[-1])
-    check_sample(sample, loads, initial)
+    check_sample(sample, loads, initial, material)
     if noise is not None and not (np.isfinite(noise) and noise > 0):
         raise InputError(f"noise must be a positive number of mm, not {noise!r}")
     if smoothing is not None and not (np.isfinite(smoothing) and smoothing > 0):

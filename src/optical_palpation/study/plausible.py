@@ -109,7 +109,7 @@ def _check_sample(study: Study) -> None:
         raise InputError(f"{study.file}: {error}") from error
     try:
         loads = [*earlier_loads(study), thickness["loaded_thickness"]]
-        check_sample(sample, loads, thickness["initial_thickness"])
+        check_sample(sample, loads, thickness["initial_thickness"], study.material.make())
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
 

@@ -118,7 +118,7 @@ class Study:
         path = file_path(path).resolve()
         read_study(path)  # its errors are those of the file
         study = cls.__new__(cls)
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
+        given = tomllib.loads(path.read_text(encoding="utf-8-sig"))
         study._begin(_Workspace(), given, path.parent, path)
         return study
 

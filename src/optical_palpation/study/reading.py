@@ -47,7 +47,7 @@ def write_template(path: str | Path) -> None:
     OutputError
         If there is such a file already, or it cannot be written.
     """
-    if Path(path).exists():
+    if os.path.exists(path):
         raise OutputError(f"{path}: exists already and is left as it is; give another name")
     text = files("optical_palpation.study").joinpath("template.toml").read_text(encoding="utf-8")
     with replacing(path) as temporary:
@@ -73,7 +73,7 @@ def read_study(path: str | Path, changes: Mapping[str, object] | None = None) ->
         value, and what would be right.
     """
     path = Path(path)
-    if path.is_dir():
+    if os.path.isdir(path):
         inside = sorted(path.glob("*.toml"))
         hint = f", such as {inside[0]}" if inside else ""
         raise InputError(f"{path}: is a folder; give a study file{hint}")
@@ -87,14 +87,14 @@ def read_study(path: str | Path, changes: Mapping[str, object] | None = None) ->
     )
     try:
         content = path.read_bytes()
-        given = tomllib.loads(content.decode("utf-8"))
+        given = tomllib.loads(content.decode("utf-8-sig"))
     except FileNotFoundError:
         raise InputError(
             f"{path}: no such file; 'optical-palpation new {path}' writes one to begin with"
         ) from None
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         found = re.search(r"line (\d+)", str(error))
-        lines = content.decode("utf-8").split("\n")[: int(found[1])] if found else [""]
+        lines = content.decode("utf-8-sig").split("\n")[: int(found[1])] if found else [""]
         line = lines[-1].strip()
         raise InputError(
             f"{path}: is no valid TOML: {error}{': ' + line[:80] if line else ''}{kind}"
@@ -260,7 +260,7 @@ def _check(study: Study) -> None:
             name = getattr(values, key, None)
             if key == "relief" and name == "flat":
                 continue
-            if isinstance(name, str) and not study.path(name).exists():
+            if isinstance(name, str) and not os.path.exists(study.path(name)):
                 raise InputError(
                     f"{study.file}: {table}.{key} = {as_toml(name)}: there is no "
                     f"{study.path(name)}; paths count from the folder of the study file"

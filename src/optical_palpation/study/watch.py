@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import time
 import tomllib
 from collections.abc import Callable
@@ -121,7 +122,7 @@ class Watch:
         threads: int | None = None,
     ) -> None:
         self._file, self._folder = Path(study), Path(folder)
-        if not self._folder.is_dir():
+        if not os.path.isdir(self._folder):
             raise InputError(f"{folder}: there is no such folder to watch")
         beside = self._folder.resolve()
         self.output = Path(output) if output else beside.with_name(f"{beside.name}-stress")
@@ -290,7 +291,7 @@ class Watch:
     def _loaded(self, path: Path) -> dict[str, Any]:
         """Changes that put a file in place of the loaded layer of the study."""
         try:
-            given = tomllib.loads(self._file.read_text(encoding="utf-8")).get("loaded", {})
+            given = tomllib.loads(self._file.read_text(encoding="utf-8-sig")).get("loaded", {})
         except (OSError, ValueError):
             return {}  # read_study tells what is wrong with the file
         key = "map" if "map" in given else "volume"
@@ -328,7 +329,7 @@ class Watch:
 
 
 def _sha256(path: Path, study: Study) -> str:
-    if path.is_dir():
+    if os.path.isdir(path):
         assert isinstance(study.loaded, VolumeInput)  # maps are files
         with open_input(study, study.loaded) as volume:
             return volume.sha256

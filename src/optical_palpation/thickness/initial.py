@@ -17,7 +17,7 @@ _HARDEST_PRESSED = 0.1
 # Plausible widths of the layer over its thickness.
 _PLAUSIBLE_ASPECT = (0.1, 500.0)
 # Pixels further apart than this many thicknesses show nothing of a layer.
-_PLAUSIBLE_SPACING = 10.0
+_PLAUSIBLE_SPACING = 3.0
 
 
 def match_initial_thickness(

@@ -157,7 +157,7 @@ def _read(
     untrusted: bool,
     checked: Callable[[NDArray, str], NDArray[np.float64]],
 ) -> _Found:
-    if path.is_dir() and not zarr_store.recognises(path, b""):
+    if os.path.isdir(path) and not zarr_store.recognises(path, b""):
         raise InputError(f"{path} is a directory; give one file")
     reader, contents = open_contents(path, variable, readers=MAP_READERS, untrusted=untrusted)
     with contents, translated_errors(path, reader.FORMAT):

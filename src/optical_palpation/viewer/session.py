@@ -73,7 +73,7 @@ class Session:
         path = Path(path).resolve()
         study = read_study(path)
         session = cls()
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
         for side in SIDES:
             given = tables.get(side, {})
             for key in _PATHS:
