@@ -148,6 +148,7 @@ def test_unusable_volumes_are_refused():
         ((np.abs(before), after), FACES, "complex"),
         ((before, after[1:]), FACES, "shapes"),
         ((before * np.nan, after), FACES, "finite"),
+        ((0.0 * before, after), FACES, "there is no signal"),
         ((before, after), {"window_depth": 0.5, "sample_depth": 0.1}, "in this order"),
         ((before, after), {"window_depth": 0.1, "sample_depth": 9.0}, "inside the volume"),
         ((before, after), {"window_depth": 0.1, "sample_depth": 0.13}, "at least 8"),

@@ -390,6 +390,9 @@ def test_profile_whose_depth_has_a_unit(tmp_path):
     depth = np.linspace(0.0, 0.4, 9)
     path = table(tmp_path / "p.csv", "depth_um,displacement_nm", 1e3 * depth, depth)
     np.testing.assert_allclose(read_profile(path, thickness=0.4).depth, depth / 0.4)
+    for thickness in ("0.4", 0.0, np.nan):
+        with pytest.raises(InputError, match="thickness"):
+            read_profile(path, thickness=thickness)
     with pytest.raises(InputError, match="the depth is in um"):
         read_profile(path)
     path = table(tmp_path / "p.csv", "depth_mm,displacement_nm", depth, depth)

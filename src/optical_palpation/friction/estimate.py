@@ -12,6 +12,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import t as student_t
 
+from optical_palpation.arguments import file_path, number
 from optical_palpation.errors import InputError
 from optical_palpation.regression import independent_points
 from optical_palpation.volume.text import read_columns
@@ -160,7 +161,9 @@ def read_profile(path: str | Path, thickness: float | None = None) -> xr.Dataset
     InputError
         If the file cannot be read, columns are missing or ambiguous, or values are no numbers.
     """
-    path = Path(path)
+    path = file_path(path)
+    if thickness is not None and not number(thickness, "thickness", "a length in mm") > 0.0:
+        raise InputError(f"thickness = {thickness}: must be positive, in mm")
     table = read_columns(path)
     free = list(table.names)
     columns: dict[str, Array] = {}
@@ -195,8 +198,6 @@ def read_profile(path: str | Path, thickness: float | None = None) -> xr.Dataset
             )
         columns["depth"] = columns["depth"] * MM[units["depth"]]
     if thickness is not None:
-        if not thickness > 0.0:
-            raise InputError(f"thickness = {thickness}: must be positive, in mm")
         columns["depth"] = columns["depth"] / thickness
     if columns["depth"].size and (
         columns["depth"].min() < -1e-9 or columns["depth"].max() > 1.0 + 1e-9

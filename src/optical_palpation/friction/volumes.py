@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optical_palpation.arguments import number
 from optical_palpation.errors import InputError
 from optical_palpation.volume import Volume, open_volume
 
@@ -40,6 +41,8 @@ def read_pair(
     InputError
         If a volume cannot be read, the two differ in size or spacing, or the region does not fit.
     """
+    if region is not None:
+        region = number(region, "region", "a width in mm")
     facts["scale"] = "linear"  # as complex samples are; real ones are refused for being real
     with open_volume(before, **facts) as first, open_volume(after, **facts) as second:
         a, b = first.metadata, second.metadata

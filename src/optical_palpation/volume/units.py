@@ -93,6 +93,7 @@ def stated_unit(
     return next(iter(stated.values()), None)
 
 
-def is_unit_key(key: str) -> bool:
+def is_unit_key(key: str | bytes) -> bool:
     """Tell whether an attribute or a text beside an array states its unit."""
-    return _KEY.fullmatch(key.lower()) is not None
+    # HDF5 has bytes for a name that is no text.
+    return isinstance(key, str) and _KEY.fullmatch(key.lower()) is not None
