@@ -184,6 +184,10 @@ def test_an_imagej_oval_has_its_area(tmp_path):
     found = region_statistics(maps, read_regions(tmp_path / "oval.roi", maps))
     assert float(found["area"][0]) == pytest.approx(np.pi * 1.0 * 1.0, rel=0.01)
     assert float(found["mean"][0]) == pytest.approx(-(1.0 + 0.1 * 19.5), abs=0.01)
+    oval.roitype, oval.rounded_rect_arc_size = roifile.ROI_TYPE.RECT, 8
+    oval.tofile(tmp_path / "rounded.roi")
+    with pytest.raises(InputError, match="rounded corners"):
+        read_regions(tmp_path / "rounded.roi", maps)
 
 
 def napari_table(path, shapes):
