@@ -135,6 +135,9 @@ def test_initial_map_must_cover_the_layer_but_not_the_map():
     smaller = thickness_map(np.full((2, 3), 0.5), pixel_spacing=(1.0, 1.0))
     with pytest.raises(InputError, match=r"spans x 0 to 2, .* does not cover the layer"):
         match_initial_thickness(smaller, loaded)
+    in_um = thickness_map(np.full((3, 5), 0.5), pixel_spacing=(1000.0, 1000.0))
+    with pytest.raises(InputError, match=r"spans 4000 mm along x, the layer .* in um\?"):
+        match_initial_thickness(in_um, loaded)
     inner = flat(0.4, 0.4, 0.4, 0.4, pixel_spacing=(1.0, 1.0), layer_extent=(0, 2, 0, 1))
     np.testing.assert_allclose(match_initial_thickness(smaller, inner), 0.5)
 

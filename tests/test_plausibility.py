@@ -114,7 +114,6 @@ def test_a_study_of_maps(here, old, new, words):
         ("thickness = 0.42", "thickness = 0.2", "nothing is pressed"),
         ("thickness = 0.42", "thickness = 5.0", "can be pressed to 7"),
         ("c10 = 2.23", "c10 = 2230.0", "kPa on average"),
-        ("pixel_spacing = [0.03, 0.03]", "pixel_spacing = [1.5, 1.5]", "too far apart|in mm"),
     ],
 )
 def test_what_a_check_of_maps_tells_before_a_run(tmp_path, old, new, words):

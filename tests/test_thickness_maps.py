@@ -329,6 +329,7 @@ IN_MEMORY = xr.DataArray(
         (IN_MEMORY, {"field_of_view": (5, 5)}, "contradicts the coordinates"),
         (IN_MEMORY.assign_coords(x=np.arange(6), y=np.arange(3)), {}, "no coordinates in mm"),
         (np.ones((3, 6)), {"field_of_view": "55"}, "2 finite numbers"),
+        (IN_MEMORY.assign_coords(x=[0, 0.1, 0.2, 50, 50.1, 50.2]), {}, "jump from 0.2 to 50 mm"),
     ],
 )
 def test_what_is_no_map_in_memory_is_refused(values, given, says):

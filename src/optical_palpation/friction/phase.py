@@ -233,7 +233,9 @@ def _pair(before: ArrayLike, after: ArrayLike) -> tuple[Complex, Complex]:
     if not (np.isfinite(b).all() and np.isfinite(a).all()):
         raise InputError("volumes before and after must be finite; cut out what is missing")
     if not (b.any() and a.any()):
-        raise InputError("volumes before and after: all samples of one are zero, there is no signal")
+        raise InputError(
+            "volumes before and after: all samples of one are zero, there is no signal"
+        )
     return b, a
 
 

@@ -21,6 +21,8 @@ EXTENT_SLACK = 1e-6
 _LEAST_MEASURED = 0.5
 # Numbers that programs write where they have none. Those below zero are refused anyhow.
 _MARKS = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 99.9, 999.9, 9999.9, 99.99, 32767.0, 65535.0)
+# Of coordinates, over the median step: meshes are graded, but not so.
+_LARGEST_JUMP = 50.0
 # Above so many medians, a thickness that occurs several times is a mark as well.
 _FAR = 10.0
 
@@ -321,6 +323,12 @@ def _ascending(given: ArrayLike, axis: str, count: int, where: str) -> NDArray[n
     if not np.all(np.isfinite(positions)) or not (np.all(steps > 0.0) or np.all(steps < 0.0)):
         raise InputError(
             f"{where}: the {axis} coordinates must be finite and rise or fall steadily"
+        )
+    at = int(np.argmax(np.abs(steps)))
+    if abs(steps[at]) > _LARGEST_JUMP * float(np.median(np.abs(steps))):
+        raise InputError(
+            f"{where}: the {axis} coordinates jump from {positions[at]:g} to {positions[at + 1]:g} "
+            "mm, far beyond the other steps; a map is one piece"
         )
     return positions
 

@@ -17,7 +17,9 @@ _HARDEST_PRESSED = 0.1
 # Plausible widths of the layer over its thickness.
 _PLAUSIBLE_ASPECT = (0.1, 500.0)
 # Pixels further apart than this many thicknesses show nothing of a layer.
-_PLAUSIBLE_SPACING = 3.0
+_PLAUSIBLE_SPACING = 10.0
+# Of the field of view of the initial map over that of the layer.
+_PLAUSIBLE_SPAN = 50.0
 
 
 def match_initial_thickness(
@@ -101,6 +103,15 @@ def _interpolated(initial: xr.DataArray, loaded: xr.DataArray) -> NDArray[np.flo
             f"the map of initial thickness spans x {x[0]:g} to {x[-1]:g}, y {y[0]:g} to "
             f"{y[-1]:g} mm and does not cover the layer, {extent} (x0, x1, y0, y1)"
         )
+    for axis, span, width in (
+        ("x", x[-1] - x[0], extent[1] - extent[0]),
+        ("y", y[-1] - y[0], extent[3] - extent[2]),
+    ):
+        if span > _PLAUSIBLE_SPAN * width:
+            raise InputError(
+                f"the map of initial thickness spans {span:g} mm along {axis}, the layer {width:g} "
+                "mm: are the positions of one of them in um?"
+            )
     at = {
         "x": np.clip(loaded["x"].values, x[0], x[-1]),
         "y": np.clip(loaded["y"].values, y[0], y[-1]),
