@@ -10,6 +10,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
+from playwright.sync_api import sync_playwright
 
 import optical_palpation as op
 
@@ -99,3 +100,27 @@ def test_options_keep_their_dashes(site):
     page = (site / "_generated" / "command-line.html").read_text()
     assert "with --tile" in page
     assert "\N{EN DASH}" not in page
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_equations_stand_in_the_middle_and_begin_within_the_column(site, width):
+    program = shutil.which("chromium") or shutil.which("chromium-browser")
+    if program is None:
+        pytest.skip("no Chromium on this machine")
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        for name in ("theory", "method"):
+            page.goto((site / f"{name}.html").as_uri())
+            places = page.evaluate(
+                """() => [...document.querySelectorAll("div.math")].map((box) =>
+                    [box, box.querySelector("mrow")].flatMap((part) => {
+                        const { left, right } = part.getBoundingClientRect();
+                        return [left, right];
+                    }))"""
+            )
+            assert places
+            for left, right, start, end in places:
+                assert start >= left - 1, name
+                assert abs(start - left - (right - end)) < 3 or end > right, name
+        browser.close()
