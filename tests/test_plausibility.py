@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from optical_palpation.cli import main
 from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import InputErrors, algebraic_result
@@ -192,3 +193,13 @@ def test_a_material_that_no_rubber_is():
     check_layer(MooneyRivlin(3000.0))
     with pytest.raises(MaterialError, match="if they are in Pa"):
         check_layer(MooneyRivlin(4000.0))
+
+
+def test_an_unusual_material_is_told_before_the_work(here, capsys):
+    text = MAPS.replace("c10 = 2.23", "c10 = 0.00223").replace("c01 = 0.703", "c01 = 0.0007")
+    make_study(here, text)
+    with pytest.raises(AssertionError, match="as far as the work"):
+        main(["run", "study.toml"])
+    assert (
+        "WARNING: study.toml, [material]: the layer is softer than gels" in capsys.readouterr().out
+    )
