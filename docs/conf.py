@@ -50,7 +50,7 @@ autosummary_generate = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings say it, with units
 autodoc_class_signature = "separated"
-autodoc_default_options = {"exclude-members": "__init__, __new__, model_config"}
+autodoc_default_options = {"exclude-members": "__init__, __new__, model_config, model_post_init"}
 numpydoc_show_class_members = False
 
 sphinx_gallery_conf = {
@@ -126,7 +126,13 @@ def _generate(_sphinx) -> None:
     write_template(template)
 
 
+def _skip(_sphinx, _what, _name, thing, skip, _options) -> bool | None:
+    """Leave out fields of tuples, which the docstring of their class explains."""
+    return True if (thing.__doc__ or "").startswith("Alias for field number") else None
+
+
 def setup(sphinx) -> None:
     """Add the formulas; write what the software says about itself before anything is read."""
     sphinx.add_html_math_renderer("mathml", (_inline_formula, None), (_formula, None))
     sphinx.connect("builder-inited", _generate, priority=1)
+    sphinx.connect("autodoc-skip-member", _skip)

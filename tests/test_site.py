@@ -96,6 +96,11 @@ def test_site_needs_no_network(site):
     assert (site / "theory.html").read_text().count("<math") > 10
 
 
+def test_reference_shows_nothing_that_libraries_say_of_themselves(site):
+    for page in (site / "api").glob("*.html"):
+        assert not re.search("Alias for field number|BaseModel", page.read_text()), page.name
+
+
 def test_options_keep_their_dashes(site):
     page = (site / "_generated" / "command-line.html").read_text()
     assert "with --tile" in page

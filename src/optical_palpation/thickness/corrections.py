@@ -17,7 +17,15 @@ Lengths = tuple[float, float, float]
 
 
 class Anchor(NamedTuple):
-    """Point through which a boundary passes, mm."""
+    """Point through which a boundary passes.
+
+    Attributes
+    ----------
+    boundary
+        ``"window"`` or ``"sample"``.
+    x, y, z
+        Its position, mm.
+    """
 
     boundary: Boundary
     x: float
@@ -26,7 +34,15 @@ class Anchor(NamedTuple):
 
 
 class Exclusion(NamedTuple):
-    """Rectangle in which a boundary is not looked for but interpolated, mm."""
+    """Rectangle in which a boundary is not looked for but interpolated.
+
+    Attributes
+    ----------
+    boundary
+        ``"window"`` or ``"sample"``.
+    x_min, x_max, y_min, y_max
+        Its sides, mm.
+    """
 
     boundary: Boundary
     x_min: float
