@@ -339,6 +339,15 @@ def test_volume_without_data_is_refused(samples, said):
         find_layer(samples, spacing=SPACING, scale="linear")
 
 
+def test_a_background_may_be_subtracted():
+    stack = np.stack(list(volume()), axis=1)
+    with_it, without = (
+        find_layer(samples, spacing=SPACING, scale="linear").thickness
+        for samples in (stack, stack - np.median(stack))  # then half of the samples are negative
+    )
+    assert rms(without - with_it) < SPACING[0]
+
+
 def test_resolution_is_read_off_the_speckle():
     for axial in (6e-3, 12e-3):
         of = volume(optics=Optics(axial, 2.5 * axial), saturated=0.02)

@@ -25,7 +25,7 @@ DB = np.log(10.0) / 10.0
 LOG_SPREAD = np.pi / np.sqrt(6.0)  # standard deviation of the logarithm of an exponential number
 DYNAMIC_RANGE = 60.0  # dB, of a spectrometer within one B-scan
 SAMPLES = 7  # B-scans looked at for what holds for the whole volume
-MOST_NEGATIVE = 0.2  # of linear samples: where a background was taken off, some are
+MOST_NEGATIVE = 0.2  # of the sum of linear samples: noise less its background is, signal is not
 TILE = (32, 16)  # pixels along z and x over which statistics are taken
 SIGMA_RANGE = (0.4, 12.0)  # pixels; beyond it speckle does not tell its width
 
@@ -98,7 +98,8 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
     spread, level, highest, negative = [], [], [], []
     for y in _some(volume.shape[1]):
         image = raw(int(y))
-        negative.append(np.mean(image < 0))
+        size = np.abs(image, dtype=float)
+        negative.append(np.nansum(size[image < 0]) / max(np.nansum(size), 1e-300))
         tiles = _tiles(image)
         tiles = tiles[np.all(np.isfinite(tiles) & (tiles != 0 if scale == "dB" else True), (1, 2))]
         if len(tiles) == 0:
@@ -112,8 +113,8 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
         raise InputError("the volume holds no stretch of finite data to tell noise from signal by")
     if scale == "linear" and (share := float(np.mean(negative))) > MOST_NEGATIVE:
         raise InputError(
-            f"{share:.0%} of the samples are negative, which no amplitude or intensity is: are "
-            "they in decibels (scale 'dB'), or the raw signal of the interferometer?"
+            f"samples that are negative, as no amplitude or intensity is, make up {share:.0%} of "
+            "the signal: is it in decibels (scale 'dB'), or the raw one of the interferometer?"
         )
     deviation, mean = float(np.median(spread)), float(np.median(level))
     square, gain, offset = False, 0.0, 0.0

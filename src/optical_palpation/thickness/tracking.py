@@ -108,7 +108,10 @@ def reduce_volume(
             log[by] = np.log(np.maximum(mean, np.float32(1e-3) * np.median(floor[y])))
         progress((by + 1) / nby)
     if np.isnan(log).all():
-        raise InputError("the volume holds no data: all its samples are zero or missing")
+        raise InputError(
+            "the volume holds no data: its samples are zero or missing, or most are negative (if a "
+            "background was subtracted, give the volume with it)"
+        )
     centres = [
         np.array([(i * BLOCK + (n if i == nb - 1 else (i + 1) * BLOCK) - 1) / 2 for i in range(nb)])
         for n, nb in ((ny, nby), (nx, nbx))
