@@ -218,7 +218,7 @@ def test_contradicting_or_unknown_units(tmp_path):
 
 
 def test_lateral_frame_missing_or_contradicting(tmp_path):
-    x, y = np.arange(4.0), np.arange(3.0)
+    x, y = 2.0 + np.arange(4.0), 2.0 + np.arange(3.0)  # from 0 or 1 on they number pixels
     path = tmp_path / "map.npz"
     np.savez(path, L1=GOOD)
     expect(path, "no coordinates", "field of view", field_of_view=None)
