@@ -13,6 +13,9 @@ from optical_palpation.batch.reading import Batch, Scan
 from optical_palpation.batch.scan import predicted_need, run_scan
 from optical_palpation.errors import InputError
 
+#: Tables of a study that tell what was measured.
+_INPUTS = ("loaded", "unloaded", "volumes")
+
 
 @dataclass(frozen=True)
 class BatchResult:
@@ -105,8 +108,8 @@ def _alike(scans: Sequence[Scan]) -> dict[str, list[str]]:
     groups: dict[tuple[Path, str], list[str]] = {}
     member = {}
     for scan in scans:
-        tables = ("loaded", "unloaded", "volumes")
-        inputs = {k: v for k, v in scan.overrides.items() if k.split(".")[0] in tables}
-        member[scan.name] = groups.setdefault((scan.study, repr(sorted(inputs.items()))), [])
-        member[scan.name].append(scan.name)
+        inputs = {k: v for k, v in scan.overrides.items() if k.split(".")[0] in _INPUTS}
+        group = groups.setdefault((scan.study, repr(sorted(inputs.items()))), [])
+        group.append(scan.name)
+        member[scan.name] = group
     return {name: [other for other in group if other != name] for name, group in member.items()}

@@ -198,7 +198,7 @@ def _copied(path: Path, key: str, beside: Sequence[Path]) -> Path | None:
         try:
             record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
             entry = record["stages"][path.name]
-            if folder == path.parent or entry["key"] != key:
+            if entry["key"] != key:
                 continue
             with replacing(path) as temporary:
                 shutil.copyfile(folder / path.name, temporary)
