@@ -25,7 +25,7 @@ from optical_palpation.present.report.content import convergence_rows
 from optical_palpation.present.report.document import _json
 from optical_palpation.present.report.maps import encode_floats, encode_map
 from optical_palpation.present.terms import common_limits
-from optical_palpation.thickness import clean_thickness
+from optical_palpation.thickness import clean_thickness, thickness_map
 from optical_palpation.volume import open_volume
 
 NZ, NY, NX = 120, 24, 36
@@ -1014,6 +1014,35 @@ def test_zoom_shows_a_part_and_the_whole_again(page):
     assert float(re.search(r"y (\S+?)\u202f", stage_text(page))[1]) == pytest.approx(y, abs=0.01)
 
 
+@pytest.mark.parametrize("size", [(1.0, 8.0), (8.0, 1.0)])
+def test_a_strip_is_true_to_scale_whole_and_in_part(show, tmp_path, size):
+    shape = [round(10 * length) for length in reversed(size)]
+    pressed = thickness_map(0.4 - 0.01 * np.random.default_rng(1).random(shape), field_of_view=size)
+    result = algebraic_result(pressed, 0.5, MooneyRivlin(2.0, 0.5))
+    page = show(write(tmp_path / "strip.html", result))
+    host = page.locator("#stage-plot")
+
+    def at(right, down):
+        page.mouse.move(right, down)
+        settle(page)
+        return [float(v) for v in re.findall(r"[xy] (\S+?)\u202f", stage_text(page))]
+
+    def lengths():
+        """mm along x and y, of the same number of pixels of the screen."""
+        host.scroll_into_view_if_needed()
+        left, top, width, height = frame(page, host)
+        middle = left + width / 2, top + height / 2
+        here, there = at(*middle), at(middle[0] + 60, middle[1] - 60)
+        return np.subtract(there, here)
+
+    along_x, along_y = lengths()
+    assert along_y == pytest.approx(along_x, rel=0.05)
+    drag(page, "zoom", (0.45, 0.4), (0.55, 0.8))
+    part = lengths()
+    assert part[1] == pytest.approx(part[0], rel=0.05)
+    assert part[0] < 0.7 * along_x
+
+
 def test_downloads(page, tmp_path):
     def got(button):
         with page.expect_download() as waiting:
@@ -1038,6 +1067,7 @@ def test_downloads(page, tmp_path):
     assert len({row.count(",") for row in rows}) == 1
     drawn = got("#save-svg").read_text()
     assert "Computational stress (kPa)" in drawn
+    assert 'clip-path="url(#stage-frame)"' in drawn  # lines end at the frame
     assert "data:image/png" in drawn
     picture = np.asarray(Image.open(got("#save-png")).convert("RGB"), float)
     assert picture.shape[1] > 800

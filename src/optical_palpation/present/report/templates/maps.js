@@ -16,18 +16,34 @@ const style = getComputedStyle(document.documentElement);
 const ownColour = (name) => style.getPropertyValue(`--${name}`).trim();
 const bytesOf = (colour) => colour.match(/[0-9a-f]{2}/gi).map((pair) => parseInt(pair, 16));
 
+// A range of a given length about the middle of another, moved into a third where it must lie within.
+function stretched([low, high], length, within = [-Infinity, Infinity]) {
+  const start = clamp((low + high - length) / 2, within[0], within[1] - length);
+  return [start, start + length];
+}
+
+// The least frame of some proportions, height to width, that holds two ranges true to scale.
+function framed(x, y, aspect, within = {}) {
+  const [wide, high] = [x[1] - x[0], y[1] - y[0]];
+  return {
+    x: stretched(x, Math.max(wide, high / aspect), within.x),
+    y: stretched(y, Math.max(high, wide * aspect), within.y),
+  };
+}
+
 class MapPlot extends Plot {
   constructor(entry, grid, mask, field) {
-    const [x, y] = [field.x, field.y];
-    // True proportions, unless the field is a strip.
-    const aspect = clamp((y[1] - y[0]) / (x[1] - x[0]), 0.25, 1.6);
+    // True to scale: a strip leaves room empty.
+    const aspect = clamp((field.y[1] - field.y[0]) / (field.x[1] - field.x[0]), 0.25, 1.6);
+    const { x, y } = framed(field.x, field.y, aspect);
     super(
       { x: { range: x, label: "x (mm)" }, y: { range: y, label: "y (mm)" } },
       (width) => aspect * width,
       { x: "x", y: "y" },
       entry.title,
     );
-    Object.assign(this, { entry, grid, mask, scale: data.scales[entry.scale] });
+    Object.assign(this, { entry, grid, mask, aspect, whole: { x, y } });
+    this.scale = data.scales[entry.scale];
     this.output = element("output");
     const title = element("span", {}, entry.title);
     const caption = element("figcaption", { class: "two" }, title, this.output);

@@ -33,7 +33,7 @@ class Stage extends MapPlot {
       Object.assign(this.scale, this.scale.start);
       this.redrawAll();
     });
-    controls.whole.addEventListener("click", () => this.zoom(field.x, field.y));
+    controls.whole.addEventListener("click", () => this.zoom(this.whole.x, this.whole.y));
     for (const input of document.querySelectorAll('input[name="tool"]')) {
       input.addEventListener("change", () => this.take(input.value));
     }
@@ -88,8 +88,9 @@ class Stage extends MapPlot {
   }
 
   zoom(x, y) {
-    this.axes.x.range = x;
-    this.axes.y.range = y;
+    const part = framed(x, y, this.aspect, this.whole);
+    this.axes.x.range = part.x;
+    this.axes.y.range = part.y;
     this.redraw();
   }
 
@@ -271,7 +272,7 @@ class Stage extends MapPlot {
     const filled = this.mask && this.mask.at(...at) === 1 ? " (interpolated)" : "";
     this.output.textContent = `x ${millimetres(at[0])}, y ${millimetres(at[1])}: ${name}${filled}`;
     if (!this.width) return;
-    const parts = [...this.cross()];
+    const parts = [];
     for (const { name: label, outlines } of this.regions) {
       for (const outline of outlines) parts.push(...this.outline(outline, true, label));
     }
@@ -281,7 +282,13 @@ class Stage extends MapPlot {
     });
     const corners = this.regions.flatMap((region) => region.outlines.flat());
     corners.push(...this.shapes.flatMap((shape) => shape.points));
-    this.overlay.replaceChildren(...parts, ...this.scaleBar(corners));
+    // What is drawn ends at the frame, of which a part may be shown.
+    const frame = svg("clipPath", { id: "stage-frame" });
+    const [x, y] = [MARGIN.left, MARGIN.top];
+    frame.append(svg("rect", { x, y, width: this.width, height: this.height }));
+    const drawn = svg("g", { "clip-path": "url(#stage-frame)" });
+    drawn.append(...parts);
+    this.overlay.replaceChildren(frame, ...this.cross(), drawn, ...this.scaleBar(corners));
   }
 
   outline(corners, closed, label) {
