@@ -53,6 +53,26 @@ def texts(path):
     return " ".join("".join(e.itertext()) for e in root.iter("{http://www.w3.org/2000/svg}text"))
 
 
+@pytest.mark.parametrize("size", [(3.0, 12.0), (4.0, 4.0), (12.0, 3.0)])
+def test_the_colour_bar_is_as_high_as_the_map(size):
+    field = xr.DataArray(
+        np.arange(81.0).reshape(9, 9),
+        {"y": np.linspace(0, size[1], 9), "x": np.linspace(0, size[0], 9)},
+        ("y", "x"),
+    )
+    with new_figure("double", 120.0) as figure:
+        pair = figure.subplots(1, 2)
+        for axes in pair:
+            draw_map(axes, field, term(xr.Dataset({"axial_stress": field}), "axial_stress"))
+        figure.canvas.draw()
+        for axes in pair:
+            (bar,) = axes.child_axes
+            shaft, box = bar.get_window_extent(), axes.get_window_extent()
+            assert shaft.height == pytest.approx(box.height, rel=0.08)  # tips may be added
+            assert bar.get_tightbbox().x1 <= figure.bbox.x1
+        assert pair[0].child_axes[0].get_tightbbox().x1 < pair[1].get_tightbbox().x0
+
+
 @pytest.mark.parametrize(("width", "height"), [(4.0, 2.0), (4.0, 4.2), (20.0, 12.0), (0.3, 0.25)])
 def test_ticks_are_as_far_apart_along_both_axes(width, height):
     field = xr.DataArray(

@@ -228,8 +228,9 @@ def draw_map(
         _equal_ticks(axes)
     if colour_bar:
         figure: Any = axes.figure
+        beside = _beside(axes)
         if named:
-            bar = figure.colorbar(mesh, ax=axes, fraction=0.05, ticks=range(len(named)))
+            bar = figure.colorbar(mesh, **beside, ticks=range(len(named)))
             shares = [float(np.mean(values == k)) for k in range(len(named))]
             rows = zip(named, shares, strict=True)
             bar.ax.set_yticklabels([f"{name}\n{percent(share)}" for name, share in rows])
@@ -239,9 +240,21 @@ def draw_map(
             beyond = [bool((seen < low).any()), bool((seen > high).any())]
             ends = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}
             extend = ends[int(beyond[0]), int(beyond[1])]
-            figure.colorbar(mesh, ax=axes, fraction=0.05, extend=extend, extendfrac=0.03)
+            figure.colorbar(mesh, **beside, extend=extend, extendfrac=0.03)
     _outline(axes, regions, field)
     return mesh
+
+
+def _beside(axes: Axes) -> dict[str, Any]:
+    """Where the colour bar of a map goes: as high as the map, unless that is too low for numbers.
+
+    A layout that knows nothing of what lies beside axes has to take the room from the axes.
+    """
+    if axes.figure.get_layout_engine() is None:
+        return {"ax": axes, "fraction": 0.05}
+    aspect = float(np.ptp(axes.get_ylim()) / np.ptp(axes.get_xlim()))
+    width, height = 0.05 * np.clip(aspect, 0.6, 2.0), max(1.0, 0.25 / aspect)
+    return {"cax": axes.inset_axes((1.04, (1.0 - height) / 2, width, height))}
 
 
 def hatch_edges(axes: Axes, maps: xr.Dataset) -> None:
@@ -427,6 +440,7 @@ def write_maps(
 
 
 def _known_term(maps: xr.Dataset, name: str) -> Term:
+    check_instance(name, str, "name", "that of a map, such as 'axial_stress'")
     if name not in maps or not is_map(maps[name]):
         known = ", ".join(str(n) for n, v in maps.data_vars.items() if is_map(v))
         raise InputError(f"there is no map {name!r}; known are {known}")

@@ -69,9 +69,16 @@ def write_panel(result: StressResult, path: str | Path, width: Width = "double")
 def panel_height(maps: xr.Dataset) -> float:
     """Height of the panel in mm at double width."""
     maps = on_layer(maps)
-    across = float(np.ptp(maps["x"].values)) or 1.0
-    aspect = float(np.clip(np.ptp(maps["y"].values) / across, 0.5, 1.6))
+    aspect = _aspect(maps)
+    if "contact_pressure" not in maps:  # two columns
+        return 41.0 + 2 * min(64.0 * aspect, 80.0)
     return 41.0 + 2 * 40.0 * aspect + (17.0 + 40.0 * aspect) * _has_stiffness(maps)
+
+
+def _aspect(maps: xr.Dataset) -> float:
+    """Height over width of the room for a map."""
+    across = float(np.ptp(maps["x"].values)) or 1.0
+    return float(np.clip(np.ptp(maps["y"].values) / across, 0.5, 1.6))
 
 
 def _has_stiffness(maps: xr.Dataset) -> bool:
@@ -109,6 +116,8 @@ def draw_panel(maps: xr.Dataset, figure: Figure, pixels: xr.Dataset | None = Non
     if computational:
         hatch_edges(axes["C"], maps)
     axes["Y"].sharey(axes["X"])
+    for place in "XY":  # in line with the maps
+        axes[place].set_box_aspect(_aspect(maps))
     both = zip("xy", centre_profiles(maps), centre_profiles(fine), strict=True)
     for axis, profile, measured in both:
         _plot_profile(axes[axis.upper()], axis, profile, measured, methods)
@@ -131,5 +140,4 @@ def _plot_profile(
             axes.fill_between(profile[axis], low, high, color=colours[method], alpha=0.25, lw=0)
     axes.set_title(f"{across} = {float(profile[across]):.3g} mm", loc="left")
     axes.set(xlabel=f"{axis} (mm)", ylabel="axial stress (kPa)")
-    axes.set_box_aspect(1)
     axes.grid()
