@@ -111,7 +111,9 @@ def test_profile_regions_and_comparison(result):
     assert float(table["mean"][0]) == pytest.approx(float(inner.mean()))
     same = result.compare(result)
     assert float(np.abs(same["difference"]).max()) == 0.0
-    with pytest.raises(InputError, match="other: a StressResult, not Dataset"):
+    with pytest.raises(
+        InputError, match=r"other: a StressResult \(op.read_result reads one\), not Dataset"
+    ):
         result.compare(result.maps)
 
 
@@ -218,10 +220,12 @@ def test_a_study_without_estimates_has_the_same_stress(result, tmp_path, monkeyp
     [
         ({"friction": {"windw": 0.1}}, "friction.windw.*did you mean window"),
         ({"friction": {"window": -1}}, "friction.window"),
-        ({"material": (2.23, 0.7)}, "material: a law such as MooneyRivlin, or a mapping"),
+        ({"material": (2.23, 0.7)}, "material: a law such as MooneyRivlin.*, or a mapping"),
         ({"material": {"c10": "soft"}}, "material.c10.*number"),
         ({"loaded": "map.npy"}, "loaded: .*DataArray"),
-        ({"unloaded": "thin"}, "unloaded: .*or mm"),
+        ({"loaded": np.ones((3, 3))}, "loaded: .*thickness_map makes one of an array"),
+        ({"friction": 0.2}, r"friction: a mapping such as \{'window'"),
+        ({"unloaded": "thin"}, "unloaded: .*or a number of mm"),
         ({"loaded": {"map": "nowhere.npy"}}, "there is no"),
         ({"grid": "fine"}, "grid"),
         ({"loaded": loaded("um")}, r"map is in um; give mm: \(map / 1000\)"),
@@ -230,6 +234,11 @@ def test_a_study_without_estimates_has_the_same_stress(result, tmp_path, monkeyp
 def test_errors_of_a_study_name_the_argument(changes, message):
     with pytest.raises(InputError, match=message):
         study(**changes)
+
+
+@pytest.mark.parametrize("value", [np.float32(0.5), np.float64(0.5), np.int64(1)])
+def test_a_study_takes_the_numbers_of_numpy(value):
+    assert study(unloaded=value).parameters["unloaded"] == {"thickness": float(value)}
 
 
 def test_advice_about_a_map_in_micrometres_can_be_taken():
@@ -311,9 +320,13 @@ def uncertainty(**changes):
         (lambda r: op.StressResult(np.zeros(3)), "maps: an xarray.Dataset .* not ndarray"),
         (lambda r: op.StressResult(xr.Dataset()), "maps: .* axial_stress"),
         (lambda r: r.save(None), "path: the name of a file"),
-        (lambda r: r.regions(RECTANGLE), "regions: a list of Region, not Region"),
-        (lambda r: r.regions(["middle"]), "regions: a list of Region, not 'middle'"),
-        (lambda r: r.regions(None), "regions: a list of Region, not None"),
+        (lambda r: r.regions(["middle"]), "regions: a list of Region .*, not 'middle'"),
+        (lambda r: r.regions(None), "regions: a list of Region .*, not None"),
+        (lambda r: r.regions(xr.DataArray(3)), "regions: a list of Region .*, not DataArray"),
+        (lambda r: r.plot(["axial_stress"]), "name: that of a map, .* not list"),
+        (lambda r: r.profile(((0, 0), (0, 0))), r"same place, \(0, 0\) mm"),
+        (lambda r: study(loaded=loaded() * np.nan).run(), "^loaded: all values are missing"),
+        (lambda r: study(unloaded=500).run(), "^unloaded.thickness: a layer of 500 mm"),
         (lambda r: op.Region.rectangle("a", "0", 1, 0, 1), "region 'a', x0: a number of mm"),
         (lambda r: op.Region.rectangle("a", 0, 1), "missing .* 'y0'. It needs .*y0: float"),
         (lambda r: op.Region.rectangle("a", x=0, x1=1), "no argument 'x'; did you mean x0"),
@@ -344,7 +357,7 @@ def uncertainty(**changes):
         (lambda r: study().with_("friction.window"), "changes: a mapping"),
         (lambda r: study().with_({3: 4}), "changes: a name such as"),
         (lambda r: study(loaded=loaded().to_dataset(name="t")), "loaded: .*DataArray over y and x"),
-        (lambda r: study(girid=0.2), "girid: a mapping of keys"),
+        (lambda r: study(girid=0.2), "no argument 'girid'; did you mean grid"),
         (lambda r: study(title=3), "study: cannot be used:\n  title = 3"),
         (lambda r: sample_stress({"thickness": 1}), "sample: an optical_palpation.Sample"),
         (lambda r: sample_stress(op.Sample("1", 0.2, 0.1)), "sample: thickness must be a number"),

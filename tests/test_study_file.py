@@ -145,6 +145,8 @@ def test_files_that_are_not_trusted(here):
         ('volume = "loaded.npy"', 'volume = "lost.npy"', ["loaded.volume", "there is no", "lost"]),
         ("[loaded]", "[loaded]\nmap = 'a.mat'", ["loaded.map", "one of them"]),
         ("[loaded]", "[loaded]\ncorrections = 'a.txt'", ["loaded.corrections", "there is no"]),
+        ("[loaded]", "[loaded]\ncorrections = '.'", ["loaded.corrections", "is a folder"]),
+        ("[friction]", "[outputs]", ["friction: is missing; [friction] takes window and sample"]),
         ("[grid]", "[outputs]\nwrite = ['pannel']\n[grid]", ["outputs.write", "'panel'"]),
         (
             "[grid]",

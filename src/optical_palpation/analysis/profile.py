@@ -49,7 +49,9 @@ def line_profile(
         ends.append(place)
     length = float(np.linalg.norm(ends[1] - ends[0]))
     if not length > 0.0:
-        raise InputError(f"start and end of the profile are the same place, {tuple(ends[0])} mm")
+        raise InputError(
+            f"start and end of the profile are the same place, ({ends[0][0]:g}, {ends[0][1]:g}) mm"
+        )
     if number(width, "width", "a number of mm, at least 0") < 0.0:
         raise InputError(f"width: a number of mm, at least 0, not {width!r}")
     maps = maps[[n for n, v in maps.data_vars.items() if set(v.dims) == {"y", "x"}]]

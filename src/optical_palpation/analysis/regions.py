@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -302,9 +302,10 @@ def region_statistics(
     if variable not in maps:
         known = ", ".join(str(n) for n, v in maps.data_vars.items() if set(v.dims) == {"y", "x"})
         raise InputError(f"there is no map {variable!r}; known are {known}")
-    check_instance(regions, Iterable, "regions", "a list of Region")
+    kind = "a list of Region (read_regions reads one)"
+    check_instance(regions, Sequence, "regions", kind)
     for region in regions:
-        check_instance(region, Region, "regions", "a list of Region")
+        check_instance(region, Region, "regions", kind)
     names = [region.name for region in regions]
     if not names:
         raise InputError("regions: give at least one")

@@ -195,7 +195,7 @@ class StressResult:
 
     def regions(
         self,
-        regions: Sequence[Region] | str | os.PathLike[str],
+        regions: Region | Sequence[Region] | str | os.PathLike[str],
         variable: str = "axial_stress",
         background: Any = "rest",
     ) -> xr.Dataset:
@@ -204,7 +204,7 @@ class StressResult:
         Parameters
         ----------
         regions
-            Regions, or a file of them (:func:`~optical_palpation.analysis.read_regions`).
+            A region, several, or a file of them (:func:`~optical_palpation.analysis.read_regions`).
         variable, background
             As for :func:`~optical_palpation.analysis.region_statistics`.
 
@@ -218,10 +218,12 @@ class StressResult:
         InputError
             If the regions cannot be read or do not fit.
         """
-        from optical_palpation.analysis import read_regions, region_statistics
+        from optical_palpation.analysis import Region, read_regions, region_statistics
 
         if isinstance(regions, str | os.PathLike):
             regions = read_regions(regions, self.maps)
+        elif isinstance(regions, Region):
+            regions = [regions]
         return region_statistics(self.maps, regions, variable, background)
 
     def compare(
@@ -248,7 +250,7 @@ class StressResult:
         """
         from optical_palpation.analysis import compare_results
 
-        check_instance(other, StressResult, "other", "a StressResult")
+        check_instance(other, StressResult, "other", "a StressResult (op.read_result reads one)")
         pair = {"this": self.maps, "other": other.maps}
         return compare_results(pair, variable, register=register)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,12 @@ from optical_palpation.thickness import write_thickness_map
 Tell = Callable[[Any], None]
 _SIDES = ("unloaded", "loaded")
 _PATHS = ("volume", "map", "corrections")
+_ARGUMENTS = ", ".join(StudyFile.model_fields)
+#: What stands for a table, by name.
+_KINDS = {
+    "material": "a law such as MooneyRivlin(c10=2.23, c01=0.703), or a mapping of keys to values",
+    "friction": "a mapping such as {'window': 0.15, 'sample': 0.1}",
+}
 
 
 class Study:
@@ -75,6 +83,12 @@ class Study:
         folder: str | os.PathLike[str] = ".",
         **tables: Any,
     ) -> None:
+        if unknown := [name for name in tables if name not in StudyFile.model_fields]:
+            near = difflib.get_close_matches(unknown[0], StudyFile.model_fields, 1)
+            raise InputError(
+                f"Study: there is no argument {unknown[0]!r}; "
+                + (f"did you mean {near[0]}?" if near else f"it takes {_ARGUMENTS}")
+            )
         given = {
             "loaded": loaded,
             "unloaded": unloaded,
@@ -192,7 +206,8 @@ class Study:
         ConvergenceError
             If the full load is not reached.
         """
-        return run_study(self._runnable(), progress=progress).stress()
+        with self._naming_arguments():
+            return run_study(self._runnable(), progress=progress).stress()
 
     def thickness(self, progress: Tell | None = None) -> xr.Dataset:
         """Find the layer and return its thickness, before any mechanics.
@@ -203,7 +218,8 @@ class Study:
             ``loaded_thickness`` and ``initial_thickness`` in mm on ``(y, x)`` without gaps, what of
             them was ``filled`` and ``initial_filled``, and of volumes the ``quality``.
         """
-        done = run_study(self._runnable(), thickness_only=True, progress=progress)
+        with self._naming_arguments():
+            done = run_study(self._runnable(), thickness_only=True, progress=progress)
         return xr.load_dataset(done.folder / THICKNESS, engine="h5netcdf")
 
     def save(self, path: str | os.PathLike[str]) -> Study:
@@ -248,6 +264,24 @@ class Study:
             source = beside
         inside = source.is_relative_to(beside.parent)
         return str(source.relative_to(beside.parent) if inside else source)
+
+    @contextmanager
+    def _naming_arguments(self) -> Iterator[None]:
+        """Name in errors what was given in memory by its argument, not its temporary file."""
+        try:
+            yield
+        except InputError as error:
+            text = str(error)
+            for side in _SIDES:
+                file = Path(str(self._given[side].get("map")))
+                if file.is_relative_to(self._workspace.folder):
+                    text = text.replace(f"{file}, variable thickness", side).replace(
+                        str(file), side
+                    )
+            nowhere = self._workspace.folder / "study.toml"
+            raise type(error)(
+                text.replace(f"{nowhere}, ", "").replace(str(nowhere), "study")
+            ) from None
 
     def _runnable(self) -> StudyFile:
         """The study as a file that can be run."""
@@ -294,13 +328,15 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
             from optical_palpation.thickness.frames import on_grid
 
             return {"map": str(workspace.keep(on_grid(value, name))), "variable": "thickness"}
+        value = plain(value) if isinstance(value, np.generic) else value
         if name == "unloaded" and isinstance(value, int | float) and not isinstance(value, bool):
             return {"thickness": float(value)}
         if not isinstance(value, Mapping) or isinstance(value, xr.Dataset):
-            number = ", or mm" if name == "unloaded" else ""
+            number = ", or a number of mm" if name == "unloaded" else ""
+            make = "; thickness_map makes one of an array" if isinstance(value, np.ndarray) else ""
             raise InputError(
                 f"{name}: {{'volume': file}}, {{'map': file}}, or a DataArray over y and x in mm"
-                f"{number}; not {in_words(value)}"
+                f"{number}; not {in_words(value)}{make}"
             )
         whole = dict(value)
         for key in _PATHS:
@@ -334,6 +370,6 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
     if name == "title":
         return value
     if not isinstance(value, Mapping):
-        expected = "a law such as MooneyRivlin, or a mapping" if name == "material" else "a mapping"
-        raise InputError(f"{name}: {expected} of keys to values, not {in_words(value)}")
+        kind = _KINDS.get(name, "a mapping of keys to values")
+        raise InputError(f"{name}: {kind}, not {in_words(value)}")
     return {key: plain(of) for key, of in value.items()}

@@ -260,10 +260,17 @@ def _check(study: Study) -> None:
             name = getattr(values, key, None)
             if key == "relief" and name == "flat":
                 continue
-            if isinstance(name, str) and not os.path.exists(study.path(name)):
+            if not isinstance(name, str):
+                continue
+            path = study.path(name)
+            if not os.path.exists(path):
                 raise InputError(
-                    f"{study.file}: {table}.{key} = {as_toml(name)}: there is no "
-                    f"{study.path(name)}; paths count from the folder of the study file"
+                    f"{study.file}: {table}.{key} = {as_toml(name)}: there is no {path}; paths "
+                    "count from the folder of the study file"
+                )
+            if key != "volume" and os.path.isdir(path):  # volumes can be folders
+                raise InputError(
+                    f"{study.file}: {table}.{key} = {as_toml(name)}: is a folder; name a file in it"
                 )
     _check_sample(study)
 
@@ -413,6 +420,11 @@ _WORDS = {
     "string_too_short": "text that is not empty",
 }
 _OR_NUMBER = {"loaded": "", "unloaded": " or the thickness in mm"}
+_TABLES = {
+    "material": "takes law, and its coefficients in kPa, such as c10 and c01",
+    "friction": "takes window and sample, coefficients of friction or 'glued'",
+    "grid": "takes element_size in mm, or accuracy",
+}
 
 
 def _hint(keys: list[str]) -> str:
@@ -420,6 +432,8 @@ def _hint(keys: list[str]) -> str:
         return f"; [{keys[0]}] takes a volume or a map{_OR_NUMBER[keys[0]]}"
     if keys[0] in ("title", "outputs"):
         return ""
+    if len(keys) == 1 and keys[0] in _TABLES:
+        return f"; [{keys[0]}] {_TABLES[keys[0]]}"
     return f" ({_HINTS[keys[-1]]})" if keys[-1] in _HINTS else ""
 
 
