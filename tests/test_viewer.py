@@ -167,6 +167,47 @@ def test_volumes_opened_one_by_one_are_taken_for_what_they_are_called(panel, stu
     assert panel.solving.numbers["material.c10"]._box.text() == "? kPa"
 
 
+def test_the_unloaded_volume_opened_first_is_not_taken_for_both(panel, study):
+    measurement = panel.measurement
+    fields = {"axes": "yzx", "spacing": "{z = 0.0029, y = 0.03, x = 0.03}", "scale": "linear"}
+    for key, text in fields.items():
+        measurement.how[key].setText(text)
+    for name in ("unloaded", "loaded"):
+        measurement.open(str(study.parent / f"{name}.npy"))
+    chosen = [measurement.choice[side].currentText() for side in ("loaded", "unloaded")]
+    assert chosen == ["loaded.npy", "unloaded.npy"]
+
+
+@pytest.mark.parametrize("across", [0.3, 60.0])
+def test_maps_of_any_size_have_outlines_that_show_and_hide_nothing(panel, tmp_path, across):
+    x, y = np.meshgrid(np.linspace(0, across, 31), np.linspace(0, across, 31))
+    pressed = across / 8 * (1 - 0.1 * np.exp(-((x - y) ** 2) / across**2))
+    np.save(tmp_path / "map.npy", pressed)
+    (tmp_path / "study.toml").write_text(
+        f"unloaded = {{ thickness = {across / 8} }}\n"
+        f'loaded = {{ map = "map.npy", field_of_view = [{across}, {across}] }}\n'
+        "material = { c10 = 2.23 }\nfriction = { window = 0.1, sample = 0.1 }\n"
+        f"grid = {{ element_size = {across / 10} }}\nerrors = {{ estimates = false }}\n"
+    )
+    panel.open_study(str(tmp_path / "study.toml"))
+    panel.measurement.find_layer()
+    assert "there is nothing to find" in panel.message.text()
+    panel.solving.solve()
+    wait_idle(panel)
+    width = layer(panel, "regions").current_edge_width
+    assert 0.002 * across < width < 0.02 * across
+
+
+def test_of_a_result_the_stress_is_seen(viewer, tmp_path):
+    here = {"y": np.linspace(0, 1, 11), "x": np.linspace(0, 2, 21)}
+    names = {"axial_stress": "kPa", "loaded_thickness": "mm", "quality": "1"}
+    fields = {name: (("y", "x"), np.ones((11, 21)), {"units": u}) for name, u in names.items()}
+    xr.Dataset(fields, here).to_netcdf(tmp_path / "stress.nc", engine="h5netcdf")
+    shown = viewer.open(tmp_path / "stress.nc", plugin="optical-palpation")
+    assert [it.visible for it in shown] == ["Axial stress" in it.name for it in shown]
+    assert sum(it.visible for it in shown) == 1
+
+
 def test_dropped_maps_have_units_and_limits_in_common(viewer, tmp_path):
     here = {"y": np.linspace(0, 1, 11), "x": np.linspace(0, 2, 21)}
     fields = {
@@ -182,7 +223,7 @@ def test_dropped_maps_have_units_and_limits_in_common(viewer, tmp_path):
         "maps: Unloaded thickness (mm)",
     ]
     assert shown[0].contrast_limits == shown[1].contrast_limits
-    assert [layer.visible for layer in shown] == [False, True]
+    assert [layer.visible for layer in shown] == [True, False]
 
 
 def test_from_volumes_to_a_table_and_back_to_the_command(viewer, panel, study, tmp_path):
@@ -376,6 +417,8 @@ def test_a_study_of_a_number_and_a_volume_is_shown_as_it_is(panel, study):
     session.change({"unloaded": {"thickness": 0.44}, "grid.element_size": [0.2, 0.25, 0.1]})
     session.change({"friction": {"window": "glued", "sample": 0.1, "slip_length": 0.001}})
     panel.bench.take_up(session)
+    assert panel.solving.numbers["friction.window"].value() == "glued"
+    assert panel.solving.numbers["friction.window"]._word.isChecked()
     assert panel.measurement.thickness.value() == 0.44
     assert layer(panel, "volume").metadata[KEY]["input"]["volume"].endswith("loaded.npy")
     panel.solving.apply()

@@ -113,7 +113,7 @@ sides = st.sampled_from(["window", "sample"])
 )
 def test_corrections_that_are_shown_and_taken_back_are_the_same(anchors, exclusions):
     given = Corrections(tuple(anchors), tuple(exclusions))
-    points, shapes = anchor_layer(given, FRAME, "loaded"), exclusion_layer(given, "loaded")
+    points, shapes = anchor_layer(given, FRAME, "loaded"), exclusion_layer(given, FRAME, "loaded")
     back = corrections_from(
         points.data,
         list(points.keywords["features"]["boundary"]),
@@ -188,7 +188,7 @@ def test_regions_that_are_drawn_and_written_are_those_that_the_command_reads(tmp
     assert [r.name for r in again] == [r.name for r in drawn]
     for a, b in zip(again, drawn, strict=True):
         assert a.weights(whole).equals(b.weights(whole))
-    shown = region_layer(again)
+    shown = region_layer(maps(), again)
     back = regions_from(shown.data, ["polygon"] * 3, shown.keywords["features"]["name"])
     assert all(a.weights(whole).equals(b.weights(whole)) for a, b in zip(back, drawn, strict=True))
 

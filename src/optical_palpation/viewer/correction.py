@@ -157,7 +157,7 @@ class Correction(QGroupBox):
             none, frame = Corrections(), bench.session.frame(side)
             anchors = kind == "anchors"
             bench.show(
-                [anchor_layer(none, frame, side) if anchors else exclusion_layer(none, side)]
+                [anchor_layer(none, frame, side) if anchors else exclusion_layer(none, frame, side)]
             )
         return next(bench.layers(kind, side))
 
@@ -172,7 +172,9 @@ class Correction(QGroupBox):
             for layer in list(bench.layers(kind, side)):
                 bench.viewer.layers.remove(layer)
         frame = bench.session.frame(side)
-        bench.show([anchor_layer(corrections, frame, side), exclusion_layer(corrections, side)])
+        bench.show(
+            [anchor_layer(corrections, frame, side), exclusion_layer(corrections, frame, side)]
+        )
         self._choose()
 
     def _clear(self) -> None:

@@ -34,6 +34,8 @@ _LOOKED_AT = 5
 _LINE = 0.002
 #: Diameter of an anchor, likewise.
 _ANCHOR = 0.012
+#: Width of the outlines of excluded regions and of regions of interest, of the width of the map.
+_OUTLINE = 0.006
 #: Of regions; told apart from all of viridis and cividis.
 _REGION = "#FF3030"
 _MM = {2: ("mm", "mm"), 3: ("mm", "mm", "mm")}
@@ -267,7 +269,7 @@ def anchor_layer(corrections: Corrections, frame: Frame, side: str) -> Layer:
     return Layer(points, keywords, "points")
 
 
-def exclusion_layer(corrections: Corrections, side: str) -> Layer:
+def exclusion_layer(corrections: Corrections, frame: Frame, side: str) -> Layer:
     """Excluded regions of a volume as rectangles on its maps."""
     given = corrections.exclusions
     corners = [
@@ -281,7 +283,7 @@ def exclusion_layer(corrections: Corrections, side: str) -> Layer:
         "feature_defaults": {"boundary": "sample"},
         "edge_color": [COLOURS[e.boundary] for e in given] or COLOURS["sample"],
         "face_color": "transparent",
-        "edge_width": 0.02,
+        "edge_width": _OUTLINE * frame.shape[2] * frame.spacing[2],
         "units": _MM[2],
         "axis_labels": ("y", "x"),
         "metadata": {KEY: {"kind": "excluded", "side": side}},
@@ -339,8 +341,8 @@ def _boundary(name: str) -> Boundary:
     return "window" if name == "window" else "sample"
 
 
-def region_layer(regions: Sequence[Region] = ()) -> Layer:
-    """Regions of interest as shapes, mm, to draw more of."""
+def region_layer(maps: xr.Dataset, regions: Sequence[Region] = ()) -> Layer:
+    """Regions of interest on maps as shapes, mm, to draw more of."""
     outlines = [outline[:, ::-1] for region in regions for outline in region.outlines]
     names = [region.name for region in regions for _ in region.outlines]
     keywords = {
@@ -351,7 +353,7 @@ def region_layer(regions: Sequence[Region] = ()) -> Layer:
         "text": {"string": "{name}", "color": _REGION, "size": 11, "anchor": "center"},
         "edge_color": _REGION,
         "face_color": "transparent",
-        "edge_width": 0.03,
+        "edge_width": _OUTLINE * float(np.ptp(maps["x"].values)),
         "opacity": 1.0,
         "units": _MM[2],
         "axis_labels": ("y", "x"),

@@ -148,6 +148,9 @@ class Measurement(QGroupBox):
             bench.said.emit(str(error))
             return
         sides = [side for side in reversed(SIDES) if "volume" in bench.session.input(side)]
+        if not sides:
+            bench.said.emit("the study starts from maps of the thickness: there is nothing to find")
+            return
 
         def then(found: dict[str, Any]) -> None:
             for side, layer in found.items():
@@ -207,9 +210,13 @@ class Measurement(QGroupBox):
                 for k, entry in enumerate(entries)
                 if entry == chosen or (isinstance(entry, dict) and entry["volume"] == file)
             ]
-            same += [k for k in range(box.count()) if _named(side, box.itemText(k))]
+            named = [k for k in range(box.count()) if _named(side, box.itemText(k))]
+            # One that is called after the other side was taken because there was none else.
+            other = next(it for it in SIDES if it != side)
+            named_other = bool(same) and _named(other, box.itemText(same[0]))
+            first = named + same if named_other else same + named
             # A volume that is not called so is not taken for the unloaded one.
-            box.setCurrentIndex(same[0] if same else max(box.findData(_NUMBER), 0))
+            box.setCurrentIndex(first[0] if first else max(box.findData(_NUMBER), 0))
             box.blockSignals(False)
         self._enable()
 

@@ -10,11 +10,13 @@ import xarray as xr
 
 from optical_palpation.errors import InputError
 from optical_palpation.present.terms import is_map
-from optical_palpation.viewer.layers import Layer, map_layers, volume_layer
+from optical_palpation.viewer.layers import KEY, Layer, map_layers, volume_layer
 from optical_palpation.volume import open_volume
 from optical_palpation.volume.opening import is_known
 
 Read = Callable[[Any], list[Layer]]
+#: Which of the maps of a file is seen first.
+_FIRST = ("axial_stress", "thickness", "loaded_thickness")
 
 
 def volume_reader(path: str | list[str]) -> Read | None:
@@ -63,6 +65,8 @@ def read_maps(path: str) -> list[Layer]:
     """Read all maps of a NetCDF file as layers in mm."""
     maps = xr.load_dataset(path, engine="h5netcdf", decode_times=False)
     layers = map_layers(maps, f"{Path(path).stem}: ")
-    for layer in layers[:-1]:  # they lie on each other
-        layer.keywords["visible"] = False
+    names = [layer.keywords["metadata"][KEY]["variable"] for layer in layers]
+    first = next((name for name in _FIRST if name in names), names[-1])
+    for name, layer in zip(names, layers, strict=True):  # they lie on each other
+        layer.keywords["visible"] = name == first
     return layers

@@ -87,7 +87,7 @@ class Regions(QGroupBox):
             bench.said.emit("solve first: regions are drawn on the stress")
             return
         if not list(bench.layers("regions")):
-            bench.show([region_layer()])
+            bench.show([region_layer(bench.result.maps)])
         bench.view_maps([term(bench.result.maps, self.variable.currentData()).label])
         layer = next(bench.layers("regions"))
         bench.viewer.layers.selection.active = layer
@@ -164,7 +164,7 @@ class Regions(QGroupBox):
             )
         for layer in list(bench.layers("regions")):
             bench.viewer.layers.remove(layer)
-        bench.show([region_layer(regions)])
+        bench.show([region_layer(bench.result.maps, regions)])
         self.update_table()
 
     def save_regions(self, path: str) -> None:

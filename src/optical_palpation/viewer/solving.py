@@ -89,7 +89,6 @@ class Solving(QGroupBox):
         self.outcome = _Text()
         form.addRow(self.outcome)
         self._form = form
-        self._glued: set[str] = set()  # faces that the study says are glued
         self._shown: list[Any] = []
         self._size: Any = None  # three element sizes as the study gives them, or None
         self._timer = QTimer(self)
@@ -117,10 +116,7 @@ class Solving(QGroupBox):
         for name, number in self.numbers.items():
             table, _, key = name.partition(".")
             fits = table != "material" or key in _LAWS[law]
-            value: Any = number.value()
-            if value is None and name in self._glued:
-                value = "glued"
-            changes[name] = value if fits else None
+            changes[name] = number.value() if fits else None
         size = self._size
         if size is not None and changes["grid.element_size"] == round(size[0], 4):
             changes["grid.element_size"] = size
@@ -150,7 +146,7 @@ class Solving(QGroupBox):
             layer.keywords["visible"] = False
         self._forget(keep=bench.show(layers))
         if not list(bench.layers("regions")):
-            bench.show([region_layer()])
+            bench.show([region_layer(result.maps)])
         layers_there = bench.viewer.layers
         for drawn in list(bench.layers("regions")):  # over maps that were not there before
             layers_there.move(layers_there.index(drawn), len(layers_there))
@@ -186,7 +182,6 @@ class Solving(QGroupBox):
         material, grid = tables.get("material", {}), tables.get("grid", {})
         live = self.live.isChecked()
         self.live.setChecked(False)
-        self._glued.clear()
         self.law.setCurrentText(material.get("law", "mooney-rivlin"))
         self.edges.setCurrentText(grid.get("edges", "free"))
         for name, number in self.numbers.items():
@@ -194,9 +189,6 @@ class Solving(QGroupBox):
             value = tables.get(table, {}).get(key)
             if key == "element_size" and isinstance(value, list):
                 self._size, value = value, value[0]
-            if value == "glued":  # until a coefficient is typed
-                self._glued.add(name)
-                value = None
             number.set(value)
         self._forget(keep=())
         self.live.setChecked(live)
