@@ -19,6 +19,7 @@ from optical_palpation.analysis import (
     region_statistics,
 )
 from optical_palpation.errors import InputError
+from optical_palpation.present.comparison import comparison_in_words
 
 X, Y = 1.0 + 0.1 * np.arange(41), -0.5 + 0.05 * np.arange(61)
 
@@ -408,6 +409,22 @@ def test_registration_takes_a_shift_back():
     loose = compare_results({"a": first, "b": shifted})
     at = {"compared": "b", "zone": "all"}
     assert float(found["rms"].sel(at)) < 0.1 * float(loose["rms"].sel(at))
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.0, 1.4])
+def test_registration_of_other_pixels_and_another_extent(factor):
+    first = with_thickness(maps_of(bumps))
+    step = factor * float(X[1] - X[0])
+    x, y = np.arange(X[0], X[-1], step), np.arange(Y[0], Y[-1] - 0.3, step)
+    shifted = with_thickness(maps_of(lambda x, y: bumps(x - 0.3, y + 0.1), x=x, y=y))
+    found = compare_results({"a": first, "b": shifted}, register=True)
+    np.testing.assert_allclose(found["shift"][0], [-0.1, 0.3], atol=0.03)
+    at = {"compared": "b", "zone": "all"}
+    loose = compare_results({"a": first, "b": shifted})
+    assert float(found["rms"].sel(at)) < 0.3 * float(loose["rms"].sel(at))
+    shared = float(found["difference"].notnull().mean())
+    assert shared < 0.95
+    assert f"on the {100 * shared:.0f} % of the map that both have" in comparison_in_words(found)
 
 
 def test_registration_does_not_depend_on_where_a_scan_begins():

@@ -201,14 +201,16 @@ def _shift(reference: xr.Dataset, maps: xr.Dataset, first: str, name: str) -> tu
             raise InputError(f"{which}: has no loaded_thickness to register by")
         pair.append(check_map(of["loaded_thickness"], which))
     fixed, moving = pair
-    if not all(np.allclose(pixel_size(fixed)[k], pixel_size(moving)[k], rtol=1e-3) for k in (0, 1)):
-        raise InputError(
-            f"{first} and {name}: pixels of {pixel_size(fixed)} and {pixel_size(moving)} mm (y, x) "
-            "cannot be registered; compute both with the same element_size"
-        )
+    steps = pixel_size(fixed)
+    if not np.allclose(steps, pixel_size(moving), rtol=1e-3):  # on pixels as large
+        places = {
+            axis: np.arange(moving[axis].values[0], moving[axis].values[-1] + 1e-6 * step, step)
+            for axis, step in zip("yx", steps, strict=True)
+        }
+        moving = moving.interp(places)
     # by number of pixel, since two scans of one sample may begin anywhere
     n = [min(fixed.sizes[axis], moving.sizes[axis]) for axis in ("y", "x")]
-    parts = [field.isel(y=slice(n[0]), x=slice(n[1])) for field in pair]
+    parts = [field.isel(y=slice(n[0]), x=slice(n[1])) for field in (fixed, moving)]
     found = lateral_shift(*parts)
     start = [float(moving[axis][0] - fixed[axis][0]) for axis in ("y", "x")]
     return found[0] + start[0], found[1] + start[1]

@@ -84,6 +84,10 @@ def comparison_in_words(comparison: xr.Dataset) -> str:
         ]
         if "within_error" in row and np.isfinite(row["within_error"]):
             parts.append(f"{percent(row['within_error'])} of the map within the error")
+        known = comparison[comparison.attrs["variable"]].isel(result=0).notnull()
+        shared = float(row["difference"].notnull().sum() / known.sum())
+        if shared < 1.0:
+            parts.append(f"on the {percent(shared)} of the map that both have")
         y, x = row["shift"].values
         if x or y:
             parts.append(f"shifted by x {-x:+.3g} and y {-y:+.3g} mm")
