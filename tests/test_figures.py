@@ -237,3 +237,11 @@ def test_where_a_figure_is_from_is_in_its_file(tmp_path):
     assert "window_friction 0.15" in Image.open(tmp_path / "f.png").info["Description"]
     write_panel(it, tmp_path / "f.svg")
     assert "window_friction 0.15" in (tmp_path / "f.svg").read_text()
+
+
+@pytest.mark.parametrize(("width", "columns"), [(20, 1), (60, 3)])
+def test_a_figure_without_room_is_refused(tmp_path, width, columns):
+    names = ["axial_stress", "algebraic_axial_stress", "loaded_thickness"]
+    with pytest.raises(InputError, match=f"width: {width} mm leave no room"):
+        write_maps(result(), tmp_path / "a.png", names, width=width, columns=columns)
+    assert not list(tmp_path.iterdir())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -112,6 +113,8 @@ def figure_file(
 
     Raises
     ------
+    InputError
+        What was drawn does not fit in the width.
     OutputError
         The file cannot be written.
     """
@@ -124,7 +127,15 @@ def figure_file(
             ".pdf": {"Subject": text, "CreationDate": None},
             ".svg": {"Description": text, "Date": None},
         }
-        figure.savefig(temporary, metadata=metadata[temporary.suffix.lower()])
+        with warnings.catch_warnings():
+            warnings.filterwarnings("error", "constrained_layout not applied")
+            try:
+                figure.savefig(temporary, metadata=metadata[temporary.suffix.lower()])
+            except UserWarning:
+                raise InputError(
+                    f"width: {width_in_mm(width):g} mm leave no room for the maps beside their "
+                    "numbers; give more, or fewer columns"
+                ) from None
 
 
 def width_in_mm(width: Width) -> float:
