@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from optical_palpation.present.figure import figure_file, letter
-from optical_palpation.present.terms import percent
+from optical_palpation.present.figure import draw_map, figure_file, letter
+from optical_palpation.present.terms import percent, term
 from optical_palpation.thickness.intensity import intensity_reader
 
 if TYPE_CHECKING:
@@ -74,14 +74,12 @@ def _draw(figure: Figure, found: xr.Dataset, volume: Volume) -> None:
 
 
 def _map(axes: Axes, found: xr.Dataset, name: str) -> None:
-    limits: dict[str, Any] = {"vmin": 0.0, "vmax": 1.0} if name == "quality" else {}
-    image = axes.pcolormesh(
-        found["x"], found["y"], found[name], shading="nearest", cmap="cividis", **limits
-    )
+    limits = (0.0, 1.0) if name == "quality" else None
+    draw_map(axes, found[name], term(found, name), limits=limits)
     marked = np.where(found["filled"], 1.0, np.nan)
-    axes.pcolormesh(found["x"], found["y"], marked, shading="nearest", cmap=_only(_FILLED))
-    axes.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
-    axes.figure.colorbar(image, ax=axes, shrink=0.85)
+    axes.pcolormesh(
+        found["x"], found["y"], marked, shading="nearest", cmap=_only(_FILLED), rasterized=True
+    )
 
 
 def _bscan(axes: Axes, line: xr.Dataset, intensity: NDArray[np.float32], volume: Volume) -> None:
