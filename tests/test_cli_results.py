@@ -303,6 +303,10 @@ def test_check_reads_everything_and_writes_nothing(here, run, told):
         ("run study.toml --threads two", ["--threads", "must be a whole number"]),
         ("run study.toml --threads 0", ["--threads", "at least 1"]),
         ("figure a.nc --output f.pdf --map axial_stress --limits low high", ["must be a number"]),
+        (
+            "stress a.csv --initial-thickness 1 --pixel-spacing 0.05 --output r.nc",
+            ["--pixel-spacing", "must be a number; it takes 2 values, X Y"],
+        ),
         ("figure study.toml --output f.pdf", ["give the result folder of a study, such as mine"]),
         ("figure . --output f.pdf", ["give the result folder of a study, such as mine"]),
         ("figure map.npy --output f.pdf", ["map.npy: is no result"]),

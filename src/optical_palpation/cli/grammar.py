@@ -54,6 +54,8 @@ class Command(TyperCommand):
                 raise _UsageError(f"missing: {names}", ctx) from None
             for said, words in _PLAIN.items():
                 error.message = re.sub(f"^{said}$", words, error.message)
+            if error.param is not None and error.param.nargs > 1:
+                error.message += f"; it takes {error.param.nargs} values, {error.param.metavar}"
             raise
 
     def invoke(self, ctx: Any) -> Any:
