@@ -1,7 +1,8 @@
 """The solver arrives where load steps alone do not, says how it ended, and passes nothing wrong."""
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from optical_palpation.errors import ConvergenceError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics import path
 from optical_palpation.mechanics.cascade import make_solver
-from optical_palpation.mechanics.iteration import TOLERANCES, relaxed
+from optical_palpation.mechanics.iteration import TOLERANCES, NotConverged, relaxed
 from optical_palpation.mechanics.newton import LoadedLayer, balance
 from optical_palpation.mechanics.schur import Lubrication
 from optical_palpation.palpation import computational_stress
@@ -53,6 +54,48 @@ def test_a_result_says_how_it_ended():
     assert attrs["volume_residual"] == now.volume_error < attrs["volume_tolerance"]
     assert 0 < attrs["smallest_volume_ratio"] <= 1
     assert attrs["slip_length_mm"] == pytest.approx(0.001)
+
+
+@dataclass(frozen=True)
+class Touched:
+    """A state of which only the load counts."""
+
+    load: float = 0.0
+
+    def at_load(self, load):
+        return replace(self, load=load)
+
+    def towards(self, other, load):
+        return replace(self, load=load)
+
+
+class TouchesGently:
+    """In equilibrium wherever the first load is small."""
+
+    stiffness = 1.0
+
+    def __init__(self, largest):
+        self.largest, self.tried, self.reached = largest, [], [0.0]
+
+    def equilibrate(self, trial, tolerances, on_iteration, drag):
+        self.tried.append((trial.load, drag))
+        if len(self.reached) == 1 and trial.load > self.largest:
+            raise NotConverged("too far")
+        self.reached.append(trial.load)
+        return SimpleNamespace(state=trial), 3
+
+    def remember(self, state):
+        return state
+
+
+def test_before_anything_is_loaded_nothing_snaps():
+    """The first load is made smaller, far below the one at which drag takes over later."""
+    loaded = TouchesGently(0.003)
+    way = path.Path(loaded, TOLERANCES, TOLERANCES, Touched())
+    way.follow(Touched(1.0))
+    assert way.state.load == 1.0
+    assert all(drag is None for _, drag in loaded.tried)
+    assert loaded.reached[1] <= 0.003
 
 
 def disturbed(result):

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 _FOLLOWED, _CARRIED = 250, 80
 #: Increment of the load below which drag takes over.
 _SNAP = 0.02
+#: Nothing snaps before it is loaded: increment down to which the first load is made smaller.
+_TOUCH = 1e-3
 #: Failures in a row, at ever smaller increments, after which drag takes over, too.
 _FAILURES = 2
 #: Snaps after which the drag stays until the full load is reached: there are always more.
@@ -43,8 +45,9 @@ _NEAR = 0.1
 #: Steps in which fully loaded bodies must come to rest.
 _HELD = 50
 #: Share of the contact forces out of balance with which a state counts as nearly one of equilibrium
-#: where contact at a few nodes changes for ever: once Newton's method fails there, and at last.
-_NEARLY = (1e-3, 0.02)
+#: where contact at a few nodes changes for ever, once Newton's method fails there: if there is
+#: another way, if there is none, and at last.
+_NEARLY = (1e-4, 1e-3, 0.02)
 #: How much of the last change the bound of friction follows: at first, the least and the most.
 _RELAXATION = (0.5, 0.1, 2.0)
 #: Iterations of the linear solver that a load may take: more of them cost more than a smaller one.
@@ -249,6 +252,9 @@ class Path(Generic[AnyState]):
                 if self.spent > _FOLLOWED:
                     raise self._stopped(failure) from None
                 smaller = 0.5 * (load - start)
+                if start == 0.0 and smaller > _TOUCH:
+                    step = 0.5 * smaller
+                    continue
                 step = max(_SNAP, smaller)
                 failed += 1
                 if smaller >= _SNAP and failed < _FAILURES:
@@ -315,7 +321,7 @@ class Path(Generic[AnyState]):
                 viscosity *= 4.0
                 step *= 0.5
                 over = viscosity > _MOST or step < _CREEP or self.spent > allowed
-                if left < _NEARLY[over]:
+                if left < _NEARLY[0 if strict else 1 + over]:
                     return
                 if over:
                     raise self._stopped(failure) from None
@@ -343,9 +349,10 @@ class Path(Generic[AnyState]):
                 return
             wanted = self._tenth(rest.force_error)
             held += 1
-            left = rest.force_error if share < _STILL and not strict else np.inf
+            at_rest = share < _STILL or rest.force_error < _NEARLY[0]
+            left = rest.force_error if at_rest else np.inf
             if held > _HELD or (strict and self.spent > allowed):
-                if left < _NEARLY[1]:
+                if left < _NEARLY[0 if strict else 2]:
                     return
                 raise self._stopped(self._restless())
             if share < _REST[0] and rest.force_error < min(near, _NEAR):
@@ -353,6 +360,8 @@ class Path(Generic[AnyState]):
                 try:
                     now, count = self._reach(self.state, impatient(self.tolerances))
                 except NotConverged:
+                    if left < _NEARLY[0 if strict else 1]:
+                        return
                     continue
                 self._accept(now.state, count)
                 return
