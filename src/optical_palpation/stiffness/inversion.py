@@ -60,6 +60,9 @@ _NO_GAIN = 0.95
 _ALPHAS = 10.0 ** np.arange(1.0, -7.1, -0.5)
 #: What is left may exceed the least that can be left by this factor where the noise is below that.
 _NEAR_LEAST = 1.1
+#: Share of what is left by which the derivative of the coarse mesh may be wrong on the fine one: a
+#: step that is to leave less follows what it does not know.
+_UNKNOWN = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,7 +292,7 @@ class _Search:
             system = self._system(jacobian, sensitivities, misfit, weight, pressed)
             if left <= 1.0 and (np.abs(system.off) <= 1.0).all():
                 break
-            step, _, _ = self._step(system, row)
+            step, _, _ = self._step(system, row, _UNKNOWN * left)
             change = step[: self.order.of_travels.start].copy()
             change[self.order.of_relief] /= self.thickness
             if _rms(change) < _STILL:
@@ -297,10 +300,10 @@ class _Search:
             before, row = row, row + step
         assert best is not None
         assert tolerance is not None
-        _, row, pressed, misfit = best
+        left, row, pressed, misfit = best
         weight = self._weight(pressed, tolerance)
         system = self._system(jacobian, sensitivities, misfit, weight, pressed)
-        _, alpha, normal = self._step(system, row)
+        _, alpha, normal = self._step(system, row, _UNKNOWN * left)
         covariance = np.asarray(np.linalg.inv(normal), dtype=float)
         return Estimate(
             sought=self.order.read(row),
@@ -379,8 +382,13 @@ class _Search:
         by_force = np.stack([s.force for s in sensitivities]) / tolerance[:, None]
         return _System(jacobian, misfit, weight, by_force, off)
 
-    def _step(self, system: _System, row: Array) -> tuple[Array, float, Array]:
-        """Return the step, alpha and the matrix of the normal equations."""
+    def _step(
+        self, system: _System, row: Array, unknown: float = 0.0
+    ) -> tuple[Array, float, Array]:
+        """Return the step, alpha and the matrix of the normal equations.
+
+        ``unknown`` is what the linear model does not know of what a step leaves.
+        """
         sought, order = self.order.read(row), self.order
         weighted = system.weight.reshape(-1, 1) * system.jacobian
         left = (system.weight * system.misfit).ravel()
@@ -410,7 +418,7 @@ class _Search:
             step, _, matrix = solved(alpha)
         else:
             found = solved(_ALPHAS[-1])
-            target = max(1.0, _NEAR_LEAST * found[1])
+            target = max(1.0, _NEAR_LEAST * found[1], float(np.hypot(found[1], unknown)))
             # The weaker, the less is left: the first that is weak enough, by bisection.
             low, high = 0, len(_ALPHAS) - 1
             while low < high:
