@@ -286,9 +286,11 @@ class _Search:
             weight = self._weight(pressed, tolerance)
             left = _rms(weight * misfit)
             self.solutions.append((pressed[-1].stack.n_elements, left))
-            if best is not None and left > _NO_GAIN * best[0]:
+            gained = best is None or left < _NO_GAIN * best[0]
+            if best is None or left < best[0]:
+                best = left, row, pressed, misfit
+            if not gained:
                 break
-            best = left, row, pressed, misfit
             system = self._system(jacobian, sensitivities, misfit, weight, pressed)
             if left <= 1.0 and (np.abs(system.off) <= 1.0).all():
                 break
@@ -300,10 +302,10 @@ class _Search:
             before, row = row, row + step
         assert best is not None
         assert tolerance is not None
-        left, row, pressed, misfit = best
+        _, row, pressed, misfit = best
         weight = self._weight(pressed, tolerance)
         system = self._system(jacobian, sensitivities, misfit, weight, pressed)
-        _, alpha, normal = self._step(system, row, _UNKNOWN * left)
+        _, alpha, normal = self._step(system, row)
         covariance = np.asarray(np.linalg.inv(normal), dtype=float)
         return Estimate(
             sought=self.order.read(row),
