@@ -217,6 +217,15 @@ def test_napari_shapes_count_from_the_centre_of_the_first_pixel(tmp_path):
             read_regions(tmp_path / "l.csv", maps)
 
 
+def test_shapes_in_mm_are_not_taken_for_pixels(tmp_path):
+    """As napari's own menu saves what was drawn over a map in mm."""
+    maps = maps_of(lambda x, y: -x)
+    corners = [(y, x) for x, y in ((1.5, -0.3), (1.5, 1.4), (3.0, 1.4), (3.0, -0.3))]
+    napari_table(tmp_path / "mm.csv", [("rectangle", corners)])
+    with pytest.raises(InputError, match="seem to be in mm, not in pixels"):
+        read_regions(tmp_path / "mm.csv", maps)
+
+
 @pytest.mark.parametrize("ending", ["tif", "npy", "png"])
 def test_labels_are_regions(tmp_path, ending):
     maps = maps_of(lambda x, y: -x)

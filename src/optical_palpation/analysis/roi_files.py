@@ -28,6 +28,8 @@ _LARGEST = 50_000_000  # bytes; an outline is a thousandth of that
 _MOST_REGIONS = 10_000
 _MOST_GREYS = 4
 _ORIENTATION = 274  # tag of TIFF and EXIF
+#: Share of the map's pixels along both axes in which shapes that could be in mm seem to be.
+_CORNER = 0.15
 _NAPARI = ["index", "shape-type", "vertex-index", "axis-0", "axis-1"]
 
 
@@ -168,6 +170,12 @@ def _table(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
 def _shapes(path: Path, table: Columns, field: xr.DataArray) -> list[Region]:
     """Shapes of napari, in the order of their numbers."""
     shape, vertex, *corners = (table.numbers(_NAPARI[n]) for n in (0, 2, 4, 3))
+    if _could_be_mm(corners, field):
+        raise InputError(
+            f"{path}: all shapes lie in the first pixels of the map and seem to be in mm, not in "
+            "pixels; save regions that are drawn in the plugin by its Save regions, or give "
+            "vertices in mm as a table of name, x_mm, y_mm"
+        )
     at = table.names.index("shape-type")
     regions = []
     for number in np.unique(shape):
@@ -182,6 +190,16 @@ def _shapes(path: Path, table: Columns, field: xr.DataArray) -> list[Region]:
         make = Region.ellipse_in_box if kind == "ellipse" else Region.polygon
         regions.append(make(f"{kind} {number:g}", placed))
     return regions
+
+
+def _could_be_mm(corners: list[NDArray[np.float64]], field: xr.DataArray) -> bool:
+    """Whether coordinates (x, y) lie in a corner of the map's pixels, and within the map in mm."""
+    return all(
+        values.max() < _CORNER * field.sizes[axis]
+        and values.min() >= float(field[axis].min())
+        and values.max() <= float(field[axis].max())
+        for axis, values in zip("xy", corners, strict=True)
+    )
 
 
 def _labels(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
