@@ -221,6 +221,9 @@ def linearise(
             block[face] = STIFF * c * np.array([1.0, 0.0, 1.0])[:, None, None]
             if face == SAMPLE:
                 turning[:] = 0.0
+    if problem.held_columns is not None:  # their contact is none of this problem's
+        violation[:, problem.held_columns] = 0.0
+        off[..., problem.held_columns] = 0.0
     return ContactLinearisation(
         penetration,
         violation,

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from .elements import corner_nodes
 from .factors import Factors
+from .problem import LayerProblem
 from .system import NewtonSystem, RightHandSide, with_prescribed
 
 Vector = NDArray[np.floating]
@@ -67,6 +68,12 @@ class DirectSolver:
         u = both[: system.free.size].reshape(system.free.shape)
         p = both[system.free.size :].reshape(system.volume.shape)
         return with_prescribed(u, rhs.prescribed), p, 1
+
+
+def direct_solver(problem: LayerProblem) -> DirectSolver:
+    """Return an exact solver for a problem."""
+    penalty = problem.shear_modulus if problem.curved_sides else problem.bulk_modulus
+    return DirectSolver(problem.grid.node_shape, penalty)
 
 
 def _displacement(matrix: sp.csr_matrix, rhs: Vector) -> Vector:
@@ -193,7 +200,7 @@ def dense_matrix(stencil: Vector, free: NDArray[np.bool_]) -> Vector:
     return matrix
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=64)
 def _pattern(node_shape: tuple[int, int, int]) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Rows, columns and positions in the stencil of all entries that lie inside the grid.
 

@@ -100,6 +100,9 @@ DAMPING = 30.0
 _ATTEMPTS = 6
 #: Share of its smallest volume ratio that a body must keep in a step.
 _FLATTENING = 0.3
+#: Newton's method is slow where two iterations leave more than this share of the error; so many
+#: first ones do not count.
+_SLOW, _FIRST = 0.5, 3
 
 
 def iterate(
@@ -108,6 +111,7 @@ def iterate(
     tolerances: Tolerances,
     least_damping: float,
     on_iteration: Callable[[int, AnyIterate, int], None] | None = None,
+    eliminate: Callable[[AnyIterate], AnyIterate | None] | None = None,
 ) -> tuple[AnyIterate, int]:
     """Go on from an iterate until the tolerances are met; one step is taken at least.
 
@@ -120,6 +124,9 @@ def iterate(
         What is tried first where the step as it is leads nowhere.
     on_iteration
         Called with the number of the iteration, the iterate and the Krylov iterations before it.
+    eliminate
+        Where iterations are slow, returns an iterate in which what keeps them is solved alone, or
+        None.
 
     Returns
     -------
@@ -144,6 +151,10 @@ def iterate(
             raise NotConverged("Newton's method stagnates")
         if iteration > 0 and met(now, tolerances):
             return now, iteration
+        if eliminate and iteration > _FIRST and errors[-1] > _SLOW * errors[-3]:
+            now = eliminate(now) or now
+            if met(now, tolerances):
+                return now, iteration
         krylov = 0
         for _ in range(_ATTEMPTS):
             step = linearise(now, damping)

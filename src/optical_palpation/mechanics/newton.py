@@ -9,15 +9,13 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .contact import (
-    ContactLinearisation,
-    linearise,
-    remember_slip,
-    slip_coordinate,
-)
+from .contact import ContactLinearisation, linearise, remember_slip, slip_coordinate
+from .direct import direct_solver
+from .elimination import Box, part, put_back, unbalanced_columns
 from .friction import direction_step, friction_direction
 from .grid import contact_nodes, face_and_sides
-from .iteration import DAMPING, Direction, HardSystem, Tolerances, iterate, met
+from .iteration import DAMPING, Direction, HardSystem, NotConverged, Tolerances, iterate, met
+from .krylov import MultigridSolver
 from .path import Drag
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .side_contact import SideContact, side_contact
@@ -71,6 +69,13 @@ _CLOSE, _TO_THE_END = 1e-2, 200
 #: Iterations of the linear solver from which on an exact one is the quicker on a small grid, and
 #: how many systems in a row it then solves.
 _LONG, _ROW = 40, 3
+#: Margin, in columns, around those that are brought into equilibrium alone: at first, by how much
+#: it grows where that leaves more than half of the time before out of balance, and the most.
+_MARGIN, _WIDER, _WIDEST = 3, 2, 12
+#: How often that is tried at one load; once in vain counts as three.
+_ELIMINATIONS = 8
+#: Share of what is out of balance that such columns may keep: the others move them again.
+_KEEP = 0.03
 
 
 @dataclass
@@ -196,6 +201,8 @@ def _direction(
         raise HardSystem("the tangent is nearly singular")
     step = system.to_cartesian(du)
     change = system.contact_forces(now.force, du, dp) - state.normal_force
+    if problem.held_columns is not None:
+        change[:, problem.held_columns] = 0.0
     slip_step = contact_nodes(step[:2].astype(float)) / problem.slip_length
     w = slip_coordinate(problem, state)
     turn = direction_step(w, now.direction, slip_step)
@@ -242,6 +249,65 @@ class Solvers:
         return _newton_step(problem, now, self.exact, tolerances, damping)
 
 
+@dataclass
+class _Elimination:
+    """Brings the few columns that are out of balance into equilibrium, the others held."""
+
+    problem: LayerProblem
+    tolerances: Tolerances
+    drag: Drag[LayerState] | None
+    margin: int = field(default=_MARGIN, init=False)
+    left: float = field(default=np.inf, init=False)
+    tries: int = field(default=_ELIMINATIONS, init=False)
+
+    def __call__(self, now: Balance) -> Balance | None:
+        """Return the balance after it; None where that is no nearer to equilibrium."""
+        imbalance = (now.residual**2).sum((0, 1)) + (now.contact.violation**2).sum(0)
+        boxes = unbalanced_columns(imbalance, self.margin) if self.tries > 0 else []
+        state = now.state
+        for box in boxes:
+            state = self._solved(state, box, now.imbalance / now.force_error)
+        if not boxes or state is now.state:
+            self.tries -= 3
+            self.margin = min(self.margin + _WIDER, _WIDEST)
+            return None
+        self.tries -= 1
+        after = balance(self.problem, state, None, self.drag)
+        if after.force_error > 0.5 * self.left:
+            self.margin = min(self.margin + _WIDER, _WIDEST)
+        self.left = after.force_error
+        nearer = after.min_jacobian > 0 and after.imbalance < 2.0 * now.imbalance
+        return after if nearer else None
+
+    def _solved(self, state: LayerState, box: Box, scale: float) -> LayerState:
+        """Return the state with the columns of a box in equilibrium, if they find one."""
+        problem, own = part(self.problem, state, box)
+        drag = self.drag
+        if drag is not None:
+            origin = part(self.problem, drag.origin, box)[1]
+            drag = Drag(drag.viscosity, origin, [bound[box] for bound in drag.bound])
+        now = balance(problem, own, None, drag)
+        if now.imbalance < _KEEP * self.tolerances.force * scale:
+            return state
+        # the whole layer's forces are what errors are compared with
+        factor = scale * now.force_error / now.imbalance
+        wanted = replace(
+            self.tolerances,
+            force=max(0.3 * factor * self.tolerances.force, _KEEP * now.force_error),
+            volume=max(self.tolerances.volume, _KEEP * now.volume_error),
+        )
+        if met(now, wanted):
+            return state
+        free = problem.edges == "free"
+        iterative = MultigridSolver(problem.grid, problem.shear_modulus, free)
+        solver = Solvers(iterative, direct_solver(problem))
+        try:
+            now, _ = equilibrate(problem, own, solver, wanted, drag=drag, near=True)
+        except NotConverged:
+            return state
+        return put_back(state, box, problem, now.state)
+
+
 def equilibrate(
     problem: LayerProblem,
     state: LayerState,
@@ -250,11 +316,13 @@ def equilibrate(
     on_iteration: Callable[[int, Balance, int], None] | None = None,
     drag: Drag[LayerState] | None = None,
     near: bool = False,
+    eliminate: bool = False,
 ) -> tuple[Balance, int]:
     """Bring a state into equilibrium at its load, ``drag`` included.
 
     Friction first points where it did at the last load or, of a state ``near`` equilibrium, where
-    the slip of the state itself does.
+    the slip of the state itself does. Where a few columns keep the layer from equilibrium they may
+    be solved alone, to ``eliminate`` them.
 
     Returns
     -------
@@ -277,10 +345,13 @@ def equilibrate(
             return solver.step(problem, now, wanted, damping)
         return _newton_step(problem, now, solver, wanted, damping)
 
+    columns = None
+    if eliminate and problem.border is None:
+        columns = _Elimination(problem, tolerances, drag)
     with threads_for(problem.grid.node_shape):
         first = None if near else friction_direction(state.slip)
         start = balance(problem, state, first, drag)
-        return iterate(start, step, tolerances, least, on_iteration)
+        return iterate(start, step, tolerances, least, on_iteration, columns)
 
 
 def _stiffness(problem: LayerProblem) -> float:
@@ -325,7 +396,9 @@ class LoadedLayer:
         drag: Drag[LayerState] | None,
     ) -> tuple[Balance, int]:
         """Equilibrium at the load of ``trial``, and the Newton iterations; else NotConverged."""
-        return equilibrate(self.problem, trial, self.solver, tolerances, on_iteration, drag)
+        return equilibrate(
+            self.problem, trial, self.solver, tolerances, on_iteration, drag, eliminate=True
+        )
 
     def remember(self, state: LayerState) -> LayerState:
         """Return the state, its reference slip laid."""

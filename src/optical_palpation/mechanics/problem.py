@@ -55,6 +55,8 @@ class LayerProblem:
         The larger layer that this one is a part of; it holds the sides that were cut.
     side_reach
         The gap at which free sides are caught, as a fraction of the usual one.
+    held
+        Which sides stay where they are, the layer going on beyond them (``elimination``).
     """
 
     grid: LayerGrid
@@ -68,6 +70,7 @@ class LayerProblem:
     glued: tuple[bool, bool] = (False, False)
     surroundings: Surroundings | None = None
     side_reach: float = 1.0
+    held: Sides = (False, False, False, False)
 
     @property
     def shear_modulus(self) -> float:
@@ -94,8 +97,20 @@ class LayerProblem:
         """Which sides are the layer's own: the lowest and highest in y, then in x."""
         no_cut = (False, False, False, False)
         cut = no_cut if self.surroundings is None else self.surroundings.cut(self.grid)
-        y0, y1, x0, x1 = (not (a or b) for a, b in zip(cut, self.mirrors, strict=True))
+        y0, y1, x0, x1 = (not any(of) for of in zip(cut, self.mirrors, self.held, strict=True))
         return y0, y1, x0, x1
+
+    @cached_property
+    def held_columns(self) -> NDArray[np.bool_] | None:
+        """Columns of nodes that stay where they are, (ny + 1, nx + 1); None: there are none."""
+        if not any(self.held):
+            return None
+        columns = np.zeros(self.grid.node_shape[1:], bool)
+        for number, held in enumerate(self.held):
+            if held:
+                axis, end = divmod(number, 2)
+                np.moveaxis(columns, axis, 0)[-end] = True
+        return columns
 
     @cached_property
     def side_facets(self) -> Facets:
@@ -104,7 +119,9 @@ class LayerProblem:
         return Facets.of(self.grid, free)
 
     def hold_sides(self, field: NDArray, value: float | bool) -> None:
-        """Set a nodal field (3, ...) to a value where sides have no normal displacement."""
+        """Set a nodal field (3, ...) to a value where sides have no displacement."""
+        if self.held_columns is not None:
+            field[..., self.held_columns] = value
         for number, mirror in enumerate(self.mirrors):
             if mirror or self.edges == "roller":
                 axis, end = divmod(number, 2)
@@ -181,6 +198,16 @@ class LayerState:
         out.u += ratio * (other.u - self.u)
         out.p += ratio * (other.p - self.p)
         out.normal_force += ratio * (other.normal_force - self.normal_force)
+        np.maximum(out.normal_force, 0.0, out=out.normal_force)
+        return out
+
+    def following(self, start: LayerState, end: LayerState) -> LayerState:
+        """Go on as another layer did from ``start`` to ``end``, to the load of ``end``."""
+        out = self.copy()
+        out.load = end.load
+        out.u += end.u - start.u
+        out.p += end.p - start.p
+        out.normal_force += end.normal_force - start.normal_force
         np.maximum(out.normal_force, 0.0, out=out.normal_force)
         return out
 

@@ -1,0 +1,110 @@
+"""Parts of a layer that are brought into equilibrium alone, the rest of it held.
+
+Where a rim rolls or slips and catches again, a hundredth of the columns holds nearly all that is
+out of balance, iteration after iteration, and all else is as good as in equilibrium. Newton's
+method of the whole layer is a dear way to move these few. Nonlinear elimination (Lanzkron, Rose and
+Wilkes 1996; Cai and Li 2011) solves them first, as a small layer that is cut out with a margin, and
+goes on from there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from .grid import LayerGrid, face_and_sides
+from .problem import LayerProblem, LayerState, Sides
+
+Array = NDArray[np.float64]
+#: Columns of nodes: slices along y and x.
+Box = tuple[slice, slice]
+
+#: Share of what is out of balance that the columns to be solved hold.
+_SHARE = 0.9
+#: Share of all columns that they may be, their margin included: of more, no part is a small one.
+_MOST = 0.35
+
+
+def unbalanced_columns(imbalance: Array, margin: int) -> list[Box]:
+    """Boxes around the columns that hold most of what is out of balance.
+
+    Parameters
+    ----------
+    imbalance
+        Square of the forces out of balance in each column, (ny + 1, nx + 1).
+    margin
+        Columns that go with them on all sides. One more around each box is held.
+
+    Returns
+    -------
+    list
+        Boxes that share none but held columns; none where they would be much of the layer.
+    """
+    order = np.argsort(imbalance, axis=None)[::-1]
+    sums = np.cumsum(imbalance.ravel()[order])
+    count = int(np.searchsorted(sums, _SHARE * sums[-1])) + 1
+    chosen = np.zeros(imbalance.shape, bool)
+    chosen.ravel()[order[:count]] = True
+    around = np.ones((3, 3), bool)
+    chosen = ndimage.binary_dilation(chosen, around, iterations=margin)
+    while True:  # boxes that meet become one
+        boxes = [(y, x) for y, x in ndimage.find_objects(ndimage.label(chosen, around)[0])]
+        filled = chosen.copy()
+        for box in boxes:
+            filled[box] = True
+        if (filled == chosen).all():
+            break
+        chosen = filled
+    if chosen.mean() > _MOST:
+        return []
+    ny, nx = imbalance.shape
+    return [(_wider(y, ny), _wider(x, nx)) for y, x in boxes]
+
+
+def _wider(along: slice, count: int) -> slice:
+    return slice(max(along.start - 1, 0), min(along.stop + 1, count))
+
+
+def part(problem: LayerProblem, state: LayerState, box: Box) -> tuple[LayerProblem, LayerState]:
+    """Cut columns out of a layer; the sides where it goes on are held."""
+    grid, (y, x) = problem.grid, box
+    own = LayerGrid(grid.x[x], grid.y[y], grid.depth, grid.thickness[box])
+    _, ny, nx = grid.node_shape
+    held = y.start > 0, y.stop < ny, x.start > 0, x.stop < nx
+    y0, y1, x0, x1 = (m and not cut for m, cut in zip(problem.mirrors, held, strict=True))
+    mirrors: Sides = (y0, y1, x0, x1)
+
+    def at_contact(values: Array) -> Array:
+        face, sides = face_and_sides(values, (ny, nx))
+        whole = np.zeros((*values.shape[:-1], *grid.node_shape))
+        whole[:, :, *grid.side_nodes] = sides
+        mine = whole[..., y, x][:, :, *own.side_nodes]
+        return np.concatenate([face[..., y, x].reshape(*values.shape[:-1], -1), mine], axis=-1)
+
+    return replace(problem, grid=own, held=held, mirrors=mirrors), replace(
+        state,
+        u=state.u[..., y, x].copy(),
+        p=state.p[:, *_elements(box)].copy(),
+        slip=at_contact(state.slip),
+        anchor=at_contact(state.anchor),
+        normal_force=state.normal_force[:, y, x].copy(),
+    )
+
+
+def put_back(state: LayerState, box: Box, problem: LayerProblem, solved: LayerState) -> LayerState:
+    """Return a state with a part of it that was solved; ``problem`` is that of the part."""
+    out, held = state.copy(), problem.held_columns
+    free = np.ones(solved.u.shape[2:], bool) if held is None else ~held
+    out.u[:, :, *box][..., free] = solved.u[..., free]
+    out.normal_force[:, *box][..., free] = solved.normal_force[..., free]
+    out.p[:, *_elements(box)] = solved.p
+    return out
+
+
+def _elements(box: Box) -> Box:
+    """The elements between the columns of a box."""
+    y, x = box
+    return slice(y.start, y.stop - 1), slice(x.start, x.stop - 1)

@@ -1,0 +1,181 @@
+"""A few columns that are out of balance are brought into equilibrium alone, the others held."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics import iteration
+from optical_palpation.mechanics.cascade import make_solver, solve
+from optical_palpation.mechanics.elimination import part, put_back, unbalanced_columns
+from optical_palpation.mechanics.grid import LayerGrid, node_positions
+from optical_palpation.mechanics.imprint import Imprint
+from optical_palpation.mechanics.iteration import TOLERANCES, NotConverged
+from optical_palpation.mechanics.newton import balance, equilibrate
+from optical_palpation.mechanics.path import Drag
+from optical_palpation.mechanics.problem import LayerProblem, LayerState
+from optical_palpation.palpation.meshing import expected_forces
+
+LAW = MooneyRivlin(2.23, 0.703)
+
+
+def layer(**options):
+    x = node_positions(2.0, 0.16, edge=0.04)
+    y = node_positions(1.6, 0.16, edge=0.04)
+    px = np.linspace(-1, 3, 41)
+    relief = 0.4 + 0.03 * np.cos(2 * px) * np.cos(px)[:, None]
+    grid = LayerGrid(x, y, np.linspace(0, 1, 4), np.full((y.size, x.size), 0.5))
+    imprint = Imprint(px, px, np.full((41, 41), 0.5), relief)
+    return LayerProblem(grid, imprint, LAW, (0.4, 0.2), **options)
+
+
+def shaken(problem, seed=5):
+    """A state far from any equilibrium, in contact here and there, sliding and turned round."""
+    rng = np.random.default_rng(seed)
+    state = LayerState.unloaded(problem.grid)
+    state.load = 1.0
+    state.u = rng.normal(0, 0.01, state.u.shape)
+    state.u[2] -= 0.2 * problem.grid.nodes[2]
+    state.p = rng.normal(-5.0, 5.0, state.p.shape)
+    state.slip = rng.normal(0, 1.0, state.slip.shape)
+    state.anchor = state.lateral() - rng.normal(0, 1e-3, state.anchor.shape)
+    state.normal_force = rng.uniform(0, 0.5, state.normal_force.shape)
+    return state
+
+
+BOXES = [
+    (slice(0, 7), slice(0, 6)),
+    (slice(4, 9), slice(3, 12)),
+    (slice(5, None), slice(0, None)),
+]
+
+
+@pytest.mark.parametrize("box", BOXES)
+@pytest.mark.parametrize(
+    "options", [{}, {"edges": "roller"}, {"mirrors": (True, False, True, False)}]
+)
+def test_a_part_is_in_balance_where_the_whole_is(box, options):
+    """The forces out of balance at columns that are not held are those of the whole layer."""
+    problem = layer(**options)
+    shape = problem.grid.node_shape[1:]
+    box = tuple(slice(*along.indices(n)[:2]) for along, n in zip(box, shape, strict=True))
+    state = shaken(problem)
+    origin = shaken(problem, 6)
+    bound = list(np.random.default_rng(2).uniform(0, 0.3, (2, *shape)))
+    drag = Drag(300.0, origin, bound)
+    own, cut = part(problem, state, box)
+    free = np.ones(own.grid.node_shape[1:], bool)
+    if own.held_columns is not None:
+        free &= ~own.held_columns
+    dragged = Drag(300.0, part(problem, origin, box)[1], [b[box] for b in bound])
+    for whole, local in (
+        (balance(problem, state), balance(own, cut)),
+        (balance(problem, state, None, drag), balance(own, cut, None, dragged)),
+    ):
+        expected = whole.residual[:, :, *box][..., free]
+        assert np.abs(expected).max() > 0.1
+        assert_allclose(local.residual[..., free], expected, atol=1e-10)
+        violation = whole.contact.violation[:, *box][..., free]
+        assert_allclose(local.contact.violation[..., free], violation, atol=1e-10)
+        assert not local.residual[..., ~free].any()
+
+
+def test_what_is_put_back_unsolved_changes_nothing():
+    problem = layer()
+    state = shaken(problem)
+    box = slice(2, 8), slice(0, 7)
+    own, cut = part(problem, state, box)
+    again = put_back(state, box, own, cut)
+    for name in ("u", "p", "normal_force", "slip", "anchor"):
+        assert_array_equal(getattr(again, name), getattr(state, name))
+    cut.u += 1.0
+    cut.normal_force += 1.0
+    changed = (put_back(state, box, own, cut).u != state.u).all((0, 1))
+    expected = np.zeros_like(changed)
+    expected[3:7, :6] = (
+        True  # the outermost columns are held, but for those of the layer's own side
+    )
+    assert_array_equal(changed, expected)
+
+
+def test_boxes_hold_what_is_out_of_balance_and_share_none_but_held_columns():
+    imbalance = np.full((40, 50), 1e-6)
+    imbalance[3, 4], imbalance[6, 10], imbalance[30, 49] = 1.0, 0.7, 0.5
+    boxes = unbalanced_columns(imbalance, 3)
+    assert boxes == [(slice(0, 11), slice(0, 15)), (slice(26, 35), slice(45, 50))]
+    assert unbalanced_columns(imbalance, 1)[:2] == [
+        (slice(1, 6), slice(2, 7)),
+        (slice(4, 9), slice(8, 13)),
+    ]
+    assert unbalanced_columns(np.ones((40, 50)), 3) == []
+
+
+@pytest.fixture(scope="module")
+def solved():
+    problem = layer()
+    return solve(problem, lambda level: expected_forces(level, LAW), tolerances=TOLERANCES)
+
+
+def disturbed(solved, width=3):
+    """The layer in equilibrium, but for a corner that is out of place."""
+    state = solved.state.copy()
+    state.u[:, :, :width, :width] += np.random.default_rng(1).normal(0, 0.015, (3, 4, width, width))
+    return state
+
+
+def test_a_disturbed_corner_is_brought_back_by_itself(solved, monkeypatch):
+    """To the equilibrium where it was, and sooner than by steps of the whole layer alone."""
+    problem = solved.problem
+    solver = make_solver(problem, "multigrid")
+    start = disturbed(solved)
+    assert balance(problem, start).force_error > 0.05
+
+    def iterations(eliminate):
+        now, count = equilibrate(problem, start, solver, TOLERANCES, eliminate=eliminate)
+        assert_allclose(now.state.u, solved.state.u, atol=2e-5)
+        return count
+
+    # from the first iteration on, not only where Newton's method is slow
+    monkeypatch.setattr(iteration, "_FIRST", 1)
+    monkeypatch.setattr(iteration, "_SLOW", 0.0)
+    assert iterations(eliminate=True) < iterations(eliminate=False)
+
+
+def test_held_columns_stay_where_they_are(solved):
+    problem, start = solved.problem, disturbed(solved)
+    box = slice(0, 8), slice(0, 8)
+    own, cut = part(problem, start, box)
+    solver = make_solver(own, "multigrid")
+    now, _ = equilibrate(own, cut, solver, TOLERANCES, near=True)
+    held = own.held_columns
+    assert held is not None
+    assert_array_equal(now.state.u[..., held], cut.u[..., held])
+    assert_array_equal(now.state.normal_force[..., held], cut.normal_force[..., held])
+    after = put_back(start, box, own, now.state)
+    assert balance(problem, after).imbalance < 0.1 * balance(problem, start).imbalance
+
+
+def test_columns_without_an_equilibrium_are_left_to_the_whole_layer(solved, monkeypatch):
+    """Nothing changes where the part alone does not converge."""
+    problem, start = solved.problem, disturbed(solved)
+    monkeypatch.setattr(iteration, "_FIRST", 1)
+    monkeypatch.setattr(iteration, "_SLOW", 0.0)
+    plain, count = equilibrate(problem, start, make_solver(problem, "multigrid"), TOLERANCES)
+    few = replace(TOLERANCES, iterations=count)
+
+    import optical_palpation.mechanics.newton as newton
+
+    whole = newton.iterate
+
+    def only_the_whole(now, *others):
+        if now.residual.shape != start.u.shape:
+            raise NotConverged("not here")
+        return whole(now, *others)
+
+    monkeypatch.setattr(newton, "iterate", only_the_whole)
+    solver = make_solver(problem, "multigrid")
+    now, again = equilibrate(problem, start, solver, few, eliminate=True)
+    assert again == count
+    assert_array_equal(now.state.u, plain.state.u)
