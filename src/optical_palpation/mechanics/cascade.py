@@ -7,6 +7,7 @@ brought into equilibrium on each.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .contact import slip_coordinate
-from .direct import DirectSolver
+from .direct import DirectSolver, direct_solver
 from .friction import held_fast
 from .grid import LayerGrid, contact_nodes, edge_width, face_and_sides, node_positions
 from .iteration import TOLERANCES, NotConverged, Tolerances, impatient, relaxed
@@ -39,10 +40,10 @@ _COARSER, _ON_THE_WAY = 100.0, 300.0
 _PATH_SHARE, _PATH_ELEMENTS = 1 / 6, (3000, 16000)
 #: Elements (z, y, x) from which on a grid is made coarser along an axis.
 _HALVED = (4, 6, 6)
-#: Newton iterations after which a layer that was carried to a grid of at most so many elements, and
-#: has not come to rest, is loaded on that grid, which takes it seconds there; as many as its load
-#: has taken on the coarse grid if those are more, since it will not take less here.
-_QUICK = (30, 30_000)
+#: Elements up to which a layer that was carried to a grid, and is too far from equilibrium there,
+#: is loaded anew on that grid, along the path of the coarse one. That takes seconds; on finer grids
+#: it comes to rest sooner against drag.
+_QUICK = 30_000
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.
@@ -141,6 +142,33 @@ def prolong(state: LayerState, coarse: LayerProblem, fine: LayerProblem) -> Laye
     )
 
 
+@dataclass
+class _Guide:
+    """The path of a layer on a coarse grid, which its increments on a finer one follow."""
+
+    path: list[LayerState]
+    coarse: LayerProblem
+    fine: LayerProblem
+    prolonged: dict[int, LayerState] = field(default_factory=dict, init=False)
+
+    def __call__(self, state: LayerState, load: float) -> LayerState:
+        """Go on from a state on the fine grid to a load."""
+        return state.following(self._at(state.load), self._at(load))
+
+    def _at(self, load: float) -> LayerState:
+        """The layer of the coarse grid at a load; where it moved at that load, after that."""
+        after = bisect_right([state.load for state in self.path], load)
+        before = self._state(after - 1)
+        if before.load == load or after == len(self.path):
+            return before
+        return before.towards(self._state(after), load)
+
+    def _state(self, number: int) -> LayerState:
+        if number not in self.prolonged:
+            self.prolonged[number] = prolong(self.path[number], self.coarse, self.fine)
+        return self.prolonged[number]
+
+
 def solve(
     problem: LayerProblem,
     bound_guess: Callable[[LayerProblem], Array],
@@ -193,15 +221,15 @@ def solve(
         record.append((level.grid.n_elements, 1.0, count))
         return now.state
 
-    def settled(level: LayerProblem, state: LayerState, allowed: int | None) -> LayerState | None:
-        """Let a loaded layer come to rest; None where it does not, or takes long."""
+    def settled(level: LayerProblem, state: LayerState) -> LayerState | None:
+        """Let a loaded layer come to rest; None where it does not."""
         report = partial(on_iteration, level) if on_iteration else None
         layer = LoadedLayer(level, solvers(level))
         path = Path(
             layer, wanted(level), coarser_grid, state, control, report, resting=resting(level)
         )
         try:
-            path.settle(allowed)
+            path.settle()
         except LoadNotReached:
             return None
         record.extend((level.grid.n_elements, *step) for step in path.record)
@@ -216,15 +244,17 @@ def solve(
     state: LayerState | None = None
     coarser: tuple[LayerProblem, LayerState] | None = None
     levels = grids(problem) if cascade else [problem]
-    loaded_in = 0
+    followed: tuple[LayerProblem, list[LayerState]] | None = None
     for n in reversed(range(len(levels))):
         level = levels[n]
         coarser, carried = None, None
-        allowed = max(_QUICK[0], loaded_in) if level.grid.n_elements <= _QUICK[1] else None
+        quick = level.grid.n_elements <= _QUICK
         if state is not None:
             coarser = levels[n + 1], state
             carried = prolong(state, levels[n + 1], level)
-            state = balanced(level, carried) or settled(level, carried, allowed)
+            state = balanced(level, carried)
+            if state is None and not quick:
+                state = settled(level, carried)
         if state is None:  # the load is followed on this grid
             rest = LayerState.unloaded(level.grid)
             full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
@@ -237,14 +267,16 @@ def solve(
             path = Path(
                 layer, wanted(level), on_the_way, rest, control, report, resting=resting(level)
             )
+            if followed:
+                path.guide = _Guide(followed[1], followed[0], level)
             try:
                 path.follow(full, beside=beside)
-                loaded_in = path.spent
+                followed = level, path.visited
             except LoadNotReached:
                 if beside:
                     beside.stop("the load was not reached")
-                if allowed and carried:
-                    state = settled(level, carried, None)
+                if quick and carried:
+                    state = settled(level, carried)
                 if state is None and level is problem:
                     raise
                 # what a coarse grid cannot bear a finer one may
@@ -258,8 +290,7 @@ def solve(
 def make_solver(problem: LayerProblem, name: str) -> LinearSolver:
     """Return the named linear solver for a problem."""
     if name == "direct":
-        penalty = problem.shear_modulus if problem.curved_sides else problem.bulk_modulus
-        return DirectSolver(problem.grid.node_shape, penalty)
+        return direct_solver(problem)
     return MultigridSolver(problem.grid, problem.shear_modulus, problem.edges == "free")
 
 

@@ -152,12 +152,14 @@ class StepControl:
     """Load increments, as fractions of the full load.
 
     Long ones make the hill of friction of a flat layer too high: 0.3 by several percent, 0.15 by
-    none that shows. A load reached in at most ``easy`` Newton iterations lets the next one grow.
+    none that shows. A load reached in at most ``easy`` Newton iterations lets the next one grow,
+    one that took at least ``hard`` makes it smaller.
     """
 
     first: float = 0.1
     largest: float = 0.15
     easy: int = 6
+    hard: int = 10
 
 
 class LoadNotReached(Exception):
@@ -188,9 +190,14 @@ class Path(Generic[AnyState]):
         the linear solver.
     before
         The state accepted before the last one.
+    guide
+        Returns a trial at a load near a state, from what is known of the path otherwise; by default
+        that is on the straight line through the last two states.
     resting
         When bodies that came to the full load against drag are as good as at rest; by default as
         ``tolerances``.
+    visited
+        All states that were accepted, and the first.
     record
         (load, Newton iterations) of all that were accepted.
     spent
@@ -205,8 +212,13 @@ class Path(Generic[AnyState]):
     report: Callable[[float, int, Any, int], None] | None = None
     before: AnyState | None = None
     resting: Tolerances | None = None
+    guide: Callable[[AnyState, float], AnyState] | None = None
+    visited: list[AnyState] = field(default_factory=list, init=False)
     record: list[tuple[float, int]] = field(default_factory=list, init=False)
     spent: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        self.visited.append(self.state)
 
     def follow(
         self,
@@ -244,7 +256,10 @@ class Path(Generic[AnyState]):
             steps = np.ceil((end - start) / step - 1e-9)  # equal ones, not a small last one
             load = end if steps == 1 else start + float((end - start) / steps)
             exact = load == 1.0 or load in stops
-            trial = self.state.towards(full if self.before is None else self.before, load)
+            if self.guide and failed == 0:
+                trial = self.guide(self.state, load)
+            else:
+                trial = self.state.towards(full if self.before is None else self.before, load)
             try:
                 wanted = self.tolerances if exact else self.intermediate
                 now, count = self._reach(trial, replace(wanted, krylov=_KRYLOV))
@@ -275,19 +290,21 @@ class Path(Generic[AnyState]):
                 beside.load(self.state)
             if count <= self.control.easy:
                 step = min(self.control.largest, 1.5 * step)
+            elif count >= self.control.hard:
+                step = max(_SNAP, 0.5 * step)
         return kept
 
-    def settle(self, allowed: int | None = None) -> None:
+    def settle(self) -> None:
         """Let fully loaded bodies that are not in equilibrium come to rest.
 
         How they get there is no part of their history: slip goes on counting from where it did at
-        first. With a number ``allowed`` of Newton iterations they must be there after that.
+        first.
 
         Raises
         ------
         LoadNotReached
         """
-        self._creep(1.0, _SNAP, allowed or _CARRIED, moves=False, strict=allowed is not None)
+        self._creep(1.0, _SNAP, _CARRIED, moves=False)
 
     def _creep(
         self,
@@ -296,7 +313,6 @@ class Path(Generic[AnyState]):
         allowed: int,
         stay: bool = False,
         moves: bool = True,
-        strict: bool = False,
     ) -> None:
         """Go on against drag: to a load and rest, or to next to no drag before that.
 
@@ -321,7 +337,7 @@ class Path(Generic[AnyState]):
                 viscosity *= 4.0
                 step *= 0.5
                 over = viscosity > _MOST or step < _CREEP or self.spent > allowed
-                if left < _NEARLY[0 if strict else 1 + over]:
+                if left < _NEARLY[1 + over]:
                     return
                 if over:
                     raise self._stopped(failure) from None
@@ -351,8 +367,8 @@ class Path(Generic[AnyState]):
             held += 1
             at_rest = share < _STILL or rest.force_error < _NEARLY[0]
             left = rest.force_error if at_rest else np.inf
-            if held > _HELD or (strict and self.spent > allowed):
-                if left < _NEARLY[0 if strict else 2]:
+            if held > _HELD:
+                if left < _NEARLY[2]:
                     return
                 raise self._stopped(self._restless())
             if share < _REST[0] and rest.force_error < min(near, _NEAR):
@@ -360,7 +376,7 @@ class Path(Generic[AnyState]):
                 try:
                     now, count = self._reach(self.state, impatient(self.tolerances))
                 except NotConverged:
-                    if left < _NEARLY[0 if strict else 1]:
+                    if left < _NEARLY[1]:
                         return
                     continue
                 self._accept(now.state, count)
@@ -392,6 +408,7 @@ class Path(Generic[AnyState]):
     def _accept(self, state: AnyState, iterations: int) -> None:
         self.record.append((state.load, iterations))
         self.before, self.state = self.state, state
+        self.visited.append(state)
 
     def _stopped(self, reason: object) -> LoadNotReached:
         return LoadNotReached(self.state.load, str(reason))
