@@ -40,13 +40,13 @@ _COARSER, _ON_THE_WAY = 100.0, 300.0
 _PATH_SHARE, _PATH_ELEMENTS = 1 / 6, (3000, 16000)
 #: Elements (z, y, x) from which on a grid is made coarser along an axis.
 _HALVED = (4, 6, 6)
-#: Elements up to which a layer that was carried to a grid, and is too far from equilibrium there,
-#: is loaded anew on that grid, along the path of the coarse one. That takes seconds; on finer grids
-#: it comes to rest sooner against drag.
-_QUICK = 30_000
-#: Share of the contact forces out of balance from which on that is too far: nodes move so much then
-#: that friction is another one. Below it the force is off by 0.2 %, at twice of it by 2 %.
+#: Share of the contact forces that may be out of balance in a layer carried to another grid. Beyond
+#: it nodes move so much that friction becomes another one: the force is off by 0.2 % at a tenth, by
+#: 2 % at a fifth.
 _FAR = 0.1
+#: Elements up to which the load of a layer that was carried over, and finds no equilibrium, is
+#: followed on that grid. It takes seconds; on finer grids drag is sooner at rest.
+_QUICK = 30_000
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.
@@ -168,6 +168,8 @@ class _Guide:
 
     def _state(self, number: int) -> LayerState:
         if number not in self.prolonged:
+            while len(self.prolonged) > 2:  # those of loads that are passed
+                del self.prolonged[min(self.prolonged)]
             self.prolonged[number] = prolong(self.path[number], self.coarse, self.fine)
         return self.prolonged[number]
 
@@ -251,13 +253,12 @@ def solve(
     for n in reversed(range(len(levels))):
         level = levels[n]
         coarser, carried = None, None
-        quick = level.grid.n_elements <= _QUICK
         if state is not None:
             coarser = levels[n + 1], state
             carried = prolong(state, levels[n + 1], level)
-            near = not quick or balance(level, carried).force_error < _FAR
+            near = balance(level, carried).force_error < _FAR
             state = balanced(level, carried) if near else None
-            if state is None and not quick:
+            if state is None and near and level.grid.n_elements > _QUICK:
                 state = settled(level, carried)
         if state is None:  # the load is followed on this grid
             rest = LayerState.unloaded(level.grid)
@@ -268,18 +269,25 @@ def solve(
             if beside:
                 beside.begin(level, rest, make_solver(level, solver))
             layer = LoadedLayer(level, solvers(level))
+            visited: list[LayerState] = []
             path = Path(
-                layer, wanted(level), on_the_way, rest, control, report, resting=resting(level)
+                layer,
+                wanted(level),
+                on_the_way,
+                rest,
+                control,
+                report,
+                resting=resting(level),
+                guide=_Guide(followed[1], followed[0], level) if followed else None,
+                visited=None if level is problem else visited,
             )
-            if followed:
-                path.guide = _Guide(followed[1], followed[0], level)
             try:
                 path.follow(full, beside=beside)
-                followed = level, path.visited
+                followed = level, visited
             except LoadNotReached:
                 if beside:
                     beside.stop("the load was not reached")
-                if quick and carried:
+                if carried:
                     state = settled(level, carried)
                 if state is None and level is problem:
                     raise

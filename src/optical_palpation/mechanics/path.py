@@ -197,7 +197,7 @@ class Path(Generic[AnyState]):
         When bodies that came to the full load against drag are as good as at rest; by default as
         ``tolerances``.
     visited
-        All states that were accepted, and the first.
+        If a list is given, the first state and all that were accepted.
     record
         (load, Newton iterations) of all that were accepted.
     spent
@@ -213,12 +213,13 @@ class Path(Generic[AnyState]):
     before: AnyState | None = None
     resting: Tolerances | None = None
     guide: Callable[[AnyState, float], AnyState] | None = None
-    visited: list[AnyState] = field(default_factory=list, init=False)
+    visited: list[AnyState] | None = None
     record: list[tuple[float, int]] = field(default_factory=list, init=False)
     spent: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        self.visited.append(self.state)
+        if self.visited is not None:
+            self.visited.append(self.state)
 
     def follow(
         self,
@@ -408,7 +409,8 @@ class Path(Generic[AnyState]):
     def _accept(self, state: AnyState, iterations: int) -> None:
         self.record.append((state.load, iterations))
         self.before, self.state = self.state, state
-        self.visited.append(state)
+        if self.visited is not None:
+            self.visited.append(state)
 
     def _stopped(self, reason: object) -> LoadNotReached:
         return LoadNotReached(self.state.load, str(reason))
