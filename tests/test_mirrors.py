@@ -10,6 +10,7 @@ from optical_palpation.mechanics.cascade import solve
 from optical_palpation.mechanics.grid import LayerGrid, depth_positions, node_positions
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.iteration import Tolerances
+from optical_palpation.mechanics.path import StepControl
 from optical_palpation.mechanics.problem import SAMPLE, LayerProblem
 from optical_palpation.mechanics.side_contact import side_contact
 from optical_palpation.palpation.meshing import expected_forces
@@ -30,6 +31,7 @@ def pressed(x, y, mirrors):
         solver="direct",
         cascade=False,
         tolerances=Tolerances(force=1e-7, volume=1e-9),
+        control=StepControl(hard=100),  # the same load increments, whatever iterations they take
     )
 
 

@@ -61,7 +61,7 @@ class Solution:
     """The loaded layer and the record of how it was reached.
 
     ``record`` lists (elements, load, Newton iterations) of every accepted equilibrium. ``coarser``
-    is the fully loaded layer on the next coarser grid, where the solution has come from there.
+    is the fully loaded layer on the next coarser grid, where it was solved there.
     """
 
     problem: LayerProblem
@@ -252,9 +252,9 @@ def solve(
     followed: tuple[LayerProblem, list[LayerState]] | None = None
     for n in reversed(range(len(levels))):
         level = levels[n]
-        coarser, carried = None, None
+        coarser = None if state is None else (levels[n + 1], state)
+        carried = None
         if state is not None:
-            coarser = levels[n + 1], state
             carried = prolong(state, levels[n + 1], level)
             near = balance(level, carried).force_error < _FAR
             state = balanced(level, carried) if near else None

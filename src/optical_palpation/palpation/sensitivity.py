@@ -175,7 +175,12 @@ def _rim_effect(solution: Solution, coarser: LayerProblem, effect: float) -> flo
 def _follow(
     solution: Solution, neighbours: Neighbours, bound_guess: Callable[[LayerProblem], Array]
 ) -> None:
-    """Follow the neighbours to the coarser grid of a solution, or to its own if it has no other."""
+    """Follow the neighbours to the coarser grid of a solution, or to its own if it has no other.
+
+    Those that were followed on its own grid stay there.
+    """
+    if neighbours.problems and neighbours.problems[0].grid is solution.problem.grid:
+        return
     problem, state = solution.coarser or (solution.problem, solution.state)
     if not neighbours.begun:
         small = problem
