@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.mechanics import iteration
+from optical_palpation.mechanics import newton
 from optical_palpation.mechanics.cascade import make_solver, solve
 from optical_palpation.mechanics.elimination import part, put_back, unbalanced_columns
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
@@ -103,13 +103,13 @@ def test_what_is_put_back_unsolved_changes_nothing():
 def test_boxes_hold_what_is_out_of_balance_and_share_none_but_held_columns():
     imbalance = np.full((40, 50), 1e-6)
     imbalance[3, 4], imbalance[6, 10], imbalance[30, 49] = 1.0, 0.7, 0.5
-    boxes = unbalanced_columns(imbalance, 3)
+    boxes = unbalanced_columns(imbalance, 3, 0.35)
     assert boxes == [(slice(0, 11), slice(0, 15)), (slice(26, 35), slice(45, 50))]
-    assert unbalanced_columns(imbalance, 1)[:2] == [
+    assert unbalanced_columns(imbalance, 1, 0.35)[:2] == [
         (slice(1, 6), slice(2, 7)),
         (slice(4, 9), slice(8, 13)),
     ]
-    assert unbalanced_columns(np.ones((40, 50)), 3) == []
+    assert unbalanced_columns(np.ones((40, 50)), 3, 0.35) == []
 
 
 @pytest.fixture(scope="module")
@@ -138,9 +138,8 @@ def test_a_disturbed_corner_is_brought_back_by_itself(solved, monkeypatch):
         return count
 
     # from the first iteration on, not only where Newton's method is slow
-    monkeypatch.setattr(iteration, "_FIRST", 1)
-    monkeypatch.setattr(iteration, "_SLOW", 0.0)
-    assert iterations(eliminate=True) < iterations(eliminate=False)
+    at_once = replace(newton.SLOW, first=2, last=1, left=0.0)
+    assert iterations(at_once) < iterations(None)
 
 
 def test_held_columns_stay_where_they_are(solved):
@@ -160,12 +159,9 @@ def test_held_columns_stay_where_they_are(solved):
 def test_columns_without_an_equilibrium_are_left_to_the_whole_layer(solved, monkeypatch):
     """Nothing changes where the part alone does not converge."""
     problem, start = solved.problem, disturbed(solved)
-    monkeypatch.setattr(iteration, "_FIRST", 1)
-    monkeypatch.setattr(iteration, "_SLOW", 0.0)
+    at_once = replace(newton.SLOW, first=2, last=1, left=0.0)
     plain, count = equilibrate(problem, start, make_solver(problem, "multigrid"), TOLERANCES)
     few = replace(TOLERANCES, iterations=count)
-
-    import optical_palpation.mechanics.newton as newton
 
     whole = newton.iterate
 
@@ -176,6 +172,6 @@ def test_columns_without_an_equilibrium_are_left_to_the_whole_layer(solved, monk
 
     monkeypatch.setattr(newton, "iterate", only_the_whole)
     solver = make_solver(problem, "multigrid")
-    now, again = equilibrate(problem, start, solver, few, eliminate=True)
+    now, again = equilibrate(problem, start, solver, few, eliminate=at_once)
     assert again == count
     assert_array_equal(now.state.u, plain.state.u)

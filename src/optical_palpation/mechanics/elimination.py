@@ -24,11 +24,9 @@ Box = tuple[slice, slice]
 
 #: Share of what is out of balance that the columns to be solved hold.
 _SHARE = 0.9
-#: Share of all columns that they may be, their margin included: of more, no part is a small one.
-_MOST = 0.35
 
 
-def unbalanced_columns(imbalance: Array, margin: int) -> list[Box]:
+def unbalanced_columns(imbalance: Array, margin: int, most: float) -> list[Box]:
     """Boxes around the columns that hold most of what is out of balance.
 
     Parameters
@@ -37,11 +35,14 @@ def unbalanced_columns(imbalance: Array, margin: int) -> list[Box]:
         Square of the forces out of balance in each column, (ny + 1, nx + 1).
     margin
         Columns that go with them on all sides. One more around each box is held.
+    most
+        Share of all columns that they may be, their margin included: of more, no part is a small
+        one.
 
     Returns
     -------
     list
-        Boxes that share none but held columns; none where they would be much of the layer.
+        Boxes that share none but held columns; none where they would be more than ``most``.
     """
     order = np.argsort(imbalance, axis=None)[::-1]
     sums = np.cumsum(imbalance.ravel()[order])
@@ -58,7 +59,7 @@ def unbalanced_columns(imbalance: Array, margin: int) -> list[Box]:
         if (filled == chosen).all():
             break
         chosen = filled
-    if chosen.mean() > _MOST:
+    if chosen.mean() > most:
         return []
     ny, nx = imbalance.shape
     return [(_wider(y, ny), _wider(x, nx)) for y, x in boxes]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, Protocol, TypeVar
 
@@ -100,9 +100,6 @@ DAMPING = 30.0
 _ATTEMPTS = 6
 #: Share of its smallest volume ratio that a body must keep in a step.
 _FLATTENING = 0.3
-#: Newton's method is slow where two iterations leave more than this share of the error; so many
-#: first ones do not count.
-_SLOW, _FIRST = 0.5, 3
 
 
 def iterate(
@@ -111,7 +108,7 @@ def iterate(
     tolerances: Tolerances,
     least_damping: float,
     on_iteration: Callable[[int, AnyIterate, int], None] | None = None,
-    eliminate: Callable[[AnyIterate], AnyIterate | None] | None = None,
+    eliminate: Callable[[AnyIterate, Sequence[float]], AnyIterate | None] | None = None,
 ) -> tuple[AnyIterate, int]:
     """Go on from an iterate until the tolerances are met; one step is taken at least.
 
@@ -125,8 +122,8 @@ def iterate(
     on_iteration
         Called with the number of the iteration, the iterate and the Krylov iterations before it.
     eliminate
-        Where iterations are slow, returns an iterate in which what keeps them is solved alone, or
-        None.
+        Called with the iterate and the errors so far, returns an iterate in which what keeps it
+        from equilibrium is solved alone, or None.
 
     Returns
     -------
@@ -151,9 +148,9 @@ def iterate(
             raise NotConverged("Newton's method stagnates")
         if iteration > 0 and met(now, tolerances):
             return now, iteration
-        if eliminate and iteration > _FIRST and errors[-1] > _SLOW * errors[-3]:
-            now = eliminate(now) or now
-            if met(now, tolerances):
+        if eliminate:
+            now = eliminate(now, errors) or now
+            if iteration > 0 and met(now, tolerances):
                 return now, iteration
         krylov = 0
         for _ in range(_ATTEMPTS):

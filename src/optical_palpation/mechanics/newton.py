@@ -76,6 +76,32 @@ _MARGIN, _WIDER, _WIDEST = 3, 2, 12
 _ELIMINATIONS = 8
 #: Share of what is out of balance that such columns may keep: the others move them again.
 _KEEP = 0.03
+#: How much more than before may be out of balance of the whole layer. Columns that are solved alone
+#: leave what they push to where they were cut, and the next step of the whole takes it away.
+_PUSHED = 3.0
+
+
+@dataclass(frozen=True)
+class Due:
+    """When the columns that are out of balance are solved alone.
+
+    After ``first`` iterations, where the ``last`` ones left more than a share ``left`` of the
+    error, and the columns are at most a share ``most`` of the layer. They are given up after
+    ``iterations``. Their volumes may be as much looser than the whole layer's as their forces, or
+    must be as good: thin layers that stick ask for that.
+    """
+
+    first: int
+    last: int
+    left: float
+    most: float
+    iterations: int
+    loose_volumes: bool
+
+
+#: Where Newton's method is slow, and in a layer that was carried over to a fine grid, where an
+#: iteration of the whole takes as long as many of a small part.
+SLOW, CARRIED = Due(4, 2, 0.5, 0.35, 25, False), Due(2, 1, 0.1, 0.06, 8, True)
 
 
 @dataclass
@@ -256,28 +282,42 @@ class _Elimination:
     problem: LayerProblem
     tolerances: Tolerances
     drag: Drag[LayerState] | None
+    due: Due
     margin: int = field(default=_MARGIN, init=False)
     left: float = field(default=np.inf, init=False)
     tries: int = field(default=_ELIMINATIONS, init=False)
 
-    def __call__(self, now: Balance) -> Balance | None:
-        """Return the balance after it; None where that is no nearer to equilibrium."""
+    def __call__(self, now: Balance, errors: Sequence[float]) -> Balance | None:
+        """Return the balance after it; None where it is not due or leads nowhere.
+
+        ``errors`` are those of the iterations so far, the present one last.
+        """
+        due = self.due
+        if self.tries <= 0 or len(errors) <= due.first:
+            return None
+        if errors[-1] <= due.left * errors[-1 - due.last]:
+            return None
         imbalance = (now.residual**2).sum((0, 1)) + (now.contact.violation**2).sum(0)
-        boxes = unbalanced_columns(imbalance, self.margin) if self.tries > 0 else []
-        state = now.state
+        boxes = unbalanced_columns(imbalance, self.margin, due.most)
+        if not boxes:
+            return None
+        solved = now
         for box in boxes:
-            state = self._solved(state, box, now.imbalance / now.force_error)
-        if not boxes or state is now.state:
+            state = self._solved(solved.state, box, now.imbalance / now.force_error)
+            if state is solved.state:
+                continue
+            trial = balance(self.problem, state, None, self.drag)
+            if trial.min_jacobian > 0 and trial.imbalance < _PUSHED * now.imbalance:
+                solved = trial
+        if solved is now:
             self.tries -= 3
             self.margin = min(self.margin + _WIDER, _WIDEST)
             return None
         self.tries -= 1
-        after = balance(self.problem, state, None, self.drag)
-        if after.force_error > 0.5 * self.left:
+        if solved.force_error > 0.5 * self.left:
             self.margin = min(self.margin + _WIDER, _WIDEST)
-        self.left = after.force_error
-        nearer = after.min_jacobian > 0 and after.imbalance < 2.0 * now.imbalance
-        return after if nearer else None
+        self.left = solved.force_error
+        return solved
 
     def _solved(self, state: LayerState, box: Box, scale: float) -> LayerState:
         """Return the state with the columns of a box in equilibrium, if they find one."""
@@ -291,10 +331,13 @@ class _Elimination:
             return state
         # the whole layer's forces are what errors are compared with
         factor = scale * now.force_error / now.imbalance
+        force = max(0.3 * self.tolerances.force, _KEEP * now.force_error / factor)
+        looser = force / self.tolerances.force if self.due.loose_volumes else 1.0
         wanted = replace(
             self.tolerances,
-            force=max(0.3 * factor * self.tolerances.force, _KEEP * now.force_error),
-            volume=max(self.tolerances.volume, _KEEP * now.volume_error),
+            force=factor * force,
+            volume=max(max(looser, 1.0) * self.tolerances.volume, _KEEP * now.volume_error),
+            iterations=self.due.iterations,
         )
         if met(now, wanted):
             return state
@@ -316,13 +359,13 @@ def equilibrate(
     on_iteration: Callable[[int, Balance, int], None] | None = None,
     drag: Drag[LayerState] | None = None,
     near: bool = False,
-    eliminate: bool = False,
+    eliminate: Due | None = None,
 ) -> tuple[Balance, int]:
     """Bring a state into equilibrium at its load, ``drag`` included.
 
     Friction first points where it did at the last load or, of a state ``near`` equilibrium, where
-    the slip of the state itself does. Where a few columns keep the layer from equilibrium they may
-    be solved alone, to ``eliminate`` them.
+    the slip of the state itself does. Where a few columns keep the layer from equilibrium they are
+    solved alone when they are due, to ``eliminate`` them.
 
     Returns
     -------
@@ -347,7 +390,7 @@ def equilibrate(
 
     columns = None
     if eliminate and problem.border is None:
-        columns = _Elimination(problem, tolerances, drag)
+        columns = _Elimination(problem, tolerances, drag, eliminate)
     with threads_for(problem.grid.node_shape):
         first = None if near else friction_direction(state.slip)
         start = balance(problem, state, first, drag)
@@ -397,7 +440,7 @@ class LoadedLayer:
     ) -> tuple[Balance, int]:
         """Equilibrium at the load of ``trial``, and the Newton iterations; else NotConverged."""
         return equilibrate(
-            self.problem, trial, self.solver, tolerances, on_iteration, drag, eliminate=True
+            self.problem, trial, self.solver, tolerances, on_iteration, drag, eliminate=SLOW
         )
 
     def remember(self, state: LayerState) -> LayerState:
