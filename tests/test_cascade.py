@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.mechanics.cascade import grids
+from optical_palpation.mechanics import cascade
+from optical_palpation.mechanics.cascade import grids, solve
 from optical_palpation.mechanics.grid import (
     EDGE,
     LayerGrid,
@@ -19,6 +20,8 @@ from optical_palpation.mechanics.grid import (
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.palpation import computational_stress
+from optical_palpation.palpation.meshing import expected_forces, layer_problem
+from optical_palpation.thickness import thickness_map
 
 
 def grid(count, depth, grading, edge):
@@ -122,3 +125,29 @@ def test_elements_finer_than_the_rim_agree_with_coarser_ones():
         return result.maps.attrs["sample_force_mN"]
 
     assert force(0.025) == pytest.approx(force(0.05), rel=0.03)
+
+
+def test_what_is_too_far_at_full_load_is_carried_over_before_that(monkeypatch):
+    """Rough faces: the friction of a layer carried over at full load would be another one."""
+    law = MooneyRivlin(c10=2.23, c01=0.703)
+    x = np.linspace(0, 4, 81)
+    waves = thickness_map(0.37 + 0.04 * np.cos(3 * x) * np.cos(2.4 * x[:, None] + 0.5), x=x, y=x)
+    held = {"window": 0.3, "sample": 0.2}
+    sizes = (0.16, 0.16, 0.125)
+    problem = layer_problem(waves, 0.5 + 0 * waves, None, law, held, sizes, "free", 0.08, 1e-3)
+
+    def solved(**options):
+        solution = solve(problem, lambda level: expected_forces(level, law), **options)
+        finest = problem.grid.n_elements
+        loads = [load for count, load, _ in solution.record if count == finest]
+        return solution.state.normal_force[1].sum(), loads
+
+    followed, _ = solved(cascade=False)
+    monkeypatch.setattr(cascade, "_QUICK", 3000)
+    force, loads = solved()
+    assert 0.3 < loads[0] < 0.9
+    assert force == pytest.approx(followed, rel=7e-3)
+    monkeypatch.setattr(cascade, "_FAR", np.inf)
+    force, loads = solved()
+    assert loads == [1.0]
+    assert force != pytest.approx(followed, rel=1.5e-2)

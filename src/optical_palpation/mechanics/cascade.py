@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .contact import slip_coordinate
+from .contact import remember_slip, slip_coordinate
 from .direct import DirectSolver, direct_solver
 from .friction import held_fast
 from .grid import LayerGrid, contact_nodes, edge_width, face_and_sides, node_positions
@@ -23,7 +24,7 @@ from .iteration import TOLERANCES, NotConverged, Tolerances, impatient, relaxed
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .neighbours import Neighbours
-from .newton import Balance, LinearSolver, LoadedLayer, Solvers, balance, equilibrate
+from .newton import CARRIED, Balance, LinearSolver, LoadedLayer, Solvers, balance, equilibrate
 from .path import LoadNotReached, Path, StepControl
 from .problem import LayerProblem, LayerState
 from .untangle import untangled
@@ -44,8 +45,12 @@ _HALVED = (4, 6, 6)
 #: it nodes move so much that friction becomes another one: the force is off by 0.2 % at a tenth, by
 #: 2 % at a fifth.
 _FAR = 0.1
-#: Elements up to which the load of a layer that was carried over, and finds no equilibrium, is
-#: followed on that grid. It takes seconds; on finer grids drag is sooner at rest.
+#: The same at a smaller load, from which it is then followed on that grid: what slides on mends its
+#: friction, but much that has turned round costs iterations.
+_FAR_BEFORE = 0.07
+#: Elements up to which the load of a layer that cannot be carried over is followed on that grid
+#: from the beginning. It takes seconds; on finer grids it is followed from the last load at which
+#: the layer can be, and one that can be but finds no equilibrium is sooner at rest against drag.
 _QUICK = 30_000
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
@@ -147,7 +152,10 @@ def prolong(state: LayerState, coarse: LayerProblem, fine: LayerProblem) -> Laye
 
 @dataclass
 class _Guide:
-    """The path of a layer on a coarse grid, which its increments on a finer one follow."""
+    """The path of a layer on a coarse grid, which its increments on a finer one follow.
+
+    It knows of the loads from that of the first state of the ``path`` on.
+    """
 
     path: list[LayerState]
     coarse: LayerProblem
@@ -156,10 +164,10 @@ class _Guide:
 
     def __call__(self, state: LayerState, load: float) -> LayerState:
         """Go on from a state on the fine grid to a load."""
-        return state.following(self._at(state.load), self._at(load))
+        return state.following(self.at(state.load), self.at(load))
 
-    def _at(self, load: float) -> LayerState:
-        """The layer of the coarse grid at a load; where it moved at that load, after that."""
+    def at(self, load: float) -> LayerState:
+        """Interpolate the layer of the coarse grid at a load; where it moved there, after that."""
         after = bisect_right([state.load for state in self.path], load)
         before = self._state(after - 1)
         if before.load == load or after == len(self.path):
@@ -203,100 +211,186 @@ def solve(
     LoadNotReached
         When the full load is not reached on some grid.
     """
-    tolerances, control = tolerances or TOLERANCES, control or StepControl()
-    record: list[tuple[int, float, int]] = []
+    nested = _Nested(
+        problem,
+        bound_guess,
+        solver,
+        tolerances or TOLERANCES,
+        control or StepControl(),
+        neighbours,
+        on_iteration,
+    )
+    return nested.solved(grids(problem) if cascade else [problem])
 
-    least = min(tolerances, TOLERANCES, key=lambda wanted: wanted.force)
-    coarser_grid, on_the_way = relaxed(least, _COARSER), relaxed(least, _ON_THE_WAY)
 
-    def wanted(level: LayerProblem) -> Tolerances:
-        return tolerances if level is problem else coarser_grid
+@dataclass
+class _Nested:
+    """The nested iteration of one problem; for its arguments see ``solve``.
 
-    def resting(level: LayerProblem) -> Tolerances | None:
-        return None if level is problem else relaxed(least, _RESTING)
+    ``path`` is the last load path that was followed, from the first of its states on, and the
+    problem on its grid.
+    """
 
-    def balanced(level: LayerProblem, state: LayerState) -> LayerState | None:
-        """Bring a state near full load into equilibrium; None where it is too far away."""
-        report = partial(on_iteration, level, 1.0) if on_iteration else None
+    problem: LayerProblem
+    bound_guess: Callable[[LayerProblem], Array]
+    solver: str
+    tolerances: Tolerances
+    control: StepControl
+    neighbours: Neighbours | None
+    on_iteration: Callable[[LayerProblem, float, int, Balance, int], None] | None
+    record: list[tuple[int, float, int]] = field(default_factory=list, init=False)
+    path: tuple[LayerProblem, list[LayerState]] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        least = min(self.tolerances, TOLERANCES, key=lambda wanted: wanted.force)
+        self._coarser, self._on_the_way = relaxed(least, _COARSER), relaxed(least, _ON_THE_WAY)
+        self._resting = relaxed(least, _RESTING)
+
+    def solved(self, levels: list[LayerProblem]) -> Solution:
+        """Solve on all grids, the last of them first."""
+        state: LayerState | None = None
+        coarser: tuple[LayerProblem, LayerState] | None = None
+        for n in reversed(range(len(levels))):
+            level = levels[n]
+            if state is None:
+                coarser, carried = None, None
+            else:
+                coarser = levels[n + 1], state
+                carried = prolong(state, levels[n + 1], level)
+                state = self._carried_over(level, carried)
+            try:
+                state = state or self._loaded(level, carried)
+            except LoadNotReached:
+                if carried:
+                    state = self._settled(level, carried)
+                # what a coarse grid cannot bear a finer one may
+                if state is None and level is self.problem:
+                    raise
+        assert state is not None  # there is at least one level
+        return Solution(self.problem, state, self.record, coarser)
+
+    def _carried_over(self, level: LayerProblem, carried: LayerState) -> LayerState | None:
+        """Bring a loaded layer into equilibrium where it was carried to; None where it is too far.
+
+        What is farther than ``_FAR`` from equilibrium would end with another friction.
+        """
+        if balance(level, carried).force_error > _FAR:
+            return None
+        state = self._balanced(level, carried, self._wanted(level))
+        if state is None and level.grid.n_elements > _QUICK:
+            state = self._settled(level, carried)
+        return state
+
+    def _loaded(self, level: LayerProblem, carried: LayerState | None) -> LayerState:
+        """Follow the load on a grid: from where it can be carried over, or from the beginning.
+
+        Raises
+        ------
+        LoadNotReached
+        """
+        rest = LayerState.unloaded(level.grid)
+        full = replace(rest, load=1.0, normal_force=rest.normal_force + self.bound_guess(level))
+        guide = None if self.path is None else _Guide(self.path[1], self.path[0], level)
+        if guide and carried and level.grid.n_elements > _QUICK:
+            begin = self._begun(level, guide)
+            if begin is not None:
+                with suppress(LoadNotReached):  # else from the beginning
+                    return self._followed(level, begin, carried, guide)
+            if guide.path[0].load > 0.0:
+                guide = None
+        return self._followed(level, rest, full, guide)
+
+    def _begun(self, level: LayerProblem, guide: _Guide) -> LayerState | None:
+        """Return the layer at the last load at which a coarser grid's path can be carried over."""
+        for before in reversed(guide.path):
+            if 0.0 < before.load < 1.0:
+                carried = guide.at(before.load)
+                if balance(level, carried).force_error < _FAR_BEFORE:
+                    state = self._balanced(level, carried, self._on_the_way)
+                    if state is not None:
+                        remember_slip(level, state)
+                    return state
+        return None
+
+    def _followed(
+        self, level: LayerProblem, begin: LayerState, full: LayerState, guide: _Guide | None
+    ) -> LayerState:
+        """Follow the load on a grid, from a state in equilibrium; ``full`` is an estimate.
+
+        Raises
+        ------
+        LoadNotReached
+        """
+        whole = begin.load == 0.0
+        few = self.neighbours is not None and level.grid.n_elements <= self.neighbours.most
+        beside = self.neighbours if few and whole else None
+        if beside:
+            beside.begin(level, begin, make_solver(level, self.solver))
+        visited: list[LayerState] = []
+        path = Path(
+            LoadedLayer(level, self._solvers(level)),
+            self._wanted(level),
+            self._on_the_way,
+            begin,
+            self.control if whole else replace(self.control, first=self.control.largest),
+            partial(self.on_iteration, level) if self.on_iteration else None,
+            resting=self._rest(level),
+            guide=guide,
+            visited=None if level is self.problem else visited,
+        )
         try:
-            linear = make_solver(level, solver)
-            now, count = equilibrate(level, state, linear, impatient(wanted(level)), report)
+            path.follow(full, beside=beside)
+        except LoadNotReached:
+            if beside:
+                beside.stop("the load was not reached")
+            raise
+        self.path = level, visited
+        self.record += [(level.grid.n_elements, *step) for step in path.record]
+        return path.state
+
+    def _balanced(
+        self, level: LayerProblem, state: LayerState, wanted: Tolerances
+    ) -> LayerState | None:
+        """Bring a state at its load into equilibrium; None where it is too far away."""
+        report = partial(self.on_iteration, level, state.load) if self.on_iteration else None
+        linear = make_solver(level, self.solver)
+        due = CARRIED if level.grid.n_elements > _QUICK else None
+        try:
+            now, count = equilibrate(level, state, linear, impatient(wanted), report, eliminate=due)
         except NotConverged:
             return None
-        record.append((level.grid.n_elements, 1.0, count))
+        self.record.append((level.grid.n_elements, state.load, count))
         return now.state
 
-    def settled(level: LayerProblem, state: LayerState) -> LayerState | None:
+    def _settled(self, level: LayerProblem, state: LayerState) -> LayerState | None:
         """Let a loaded layer come to rest; None where it does not."""
-        report = partial(on_iteration, level) if on_iteration else None
-        layer = LoadedLayer(level, solvers(level))
         path = Path(
-            layer, wanted(level), coarser_grid, state, control, report, resting=resting(level)
+            LoadedLayer(level, self._solvers(level)),
+            self._wanted(level),
+            self._coarser,
+            state,
+            self.control,
+            partial(self.on_iteration, level) if self.on_iteration else None,
+            resting=self._rest(level),
         )
         try:
             path.settle()
         except LoadNotReached:
             return None
-        record.extend((level.grid.n_elements, *step) for step in path.record)
+        self.record += [(level.grid.n_elements, *step) for step in path.record]
         return path.state
 
-    def solvers(level: LayerProblem) -> LinearSolver | Solvers:
-        given = make_solver(level, solver)
+    def _wanted(self, level: LayerProblem) -> Tolerances:
+        return self.tolerances if level is self.problem else self._coarser
+
+    def _rest(self, level: LayerProblem) -> Tolerances | None:
+        return None if level is self.problem else self._resting
+
+    def _solvers(self, level: LayerProblem) -> LinearSolver | Solvers:
+        given = make_solver(level, self.solver)
         if isinstance(given, DirectSolver) or level.grid.n_elements > _EXACT:
             return given
         return Solvers(given, make_solver(level, "direct"))
-
-    state: LayerState | None = None
-    coarser: tuple[LayerProblem, LayerState] | None = None
-    levels = grids(problem) if cascade else [problem]
-    followed: tuple[LayerProblem, list[LayerState]] | None = None
-    for n in reversed(range(len(levels))):
-        level = levels[n]
-        coarser = None if state is None else (levels[n + 1], state)
-        carried = None
-        if state is not None:
-            carried = prolong(state, levels[n + 1], level)
-            near = balance(level, carried).force_error < _FAR
-            state = balanced(level, carried) if near else None
-            if state is None and near and level.grid.n_elements > _QUICK:
-                state = settled(level, carried)
-        if state is None:  # the load is followed on this grid
-            rest = LayerState.unloaded(level.grid)
-            full = replace(rest, load=1.0, normal_force=rest.normal_force + bound_guess(level))
-            report = partial(on_iteration, level) if on_iteration else None
-            few = neighbours is not None and level.grid.n_elements <= neighbours.most
-            beside = neighbours if few else None
-            if beside:
-                beside.begin(level, rest, make_solver(level, solver))
-            layer = LoadedLayer(level, solvers(level))
-            visited: list[LayerState] = []
-            path = Path(
-                layer,
-                wanted(level),
-                on_the_way,
-                rest,
-                control,
-                report,
-                resting=resting(level),
-                guide=_Guide(followed[1], followed[0], level) if followed else None,
-                visited=None if level is problem else visited,
-            )
-            try:
-                path.follow(full, beside=beside)
-                followed = level, visited
-            except LoadNotReached:
-                if beside:
-                    beside.stop("the load was not reached")
-                if carried:
-                    state = settled(level, carried)
-                if state is None and level is problem:
-                    raise
-                # what a coarse grid cannot bear a finer one may
-            else:
-                state = path.state
-                record += [(level.grid.n_elements, *step) for step in path.record]
-    assert state is not None  # there is at least one level
-    return Solution(problem, state, record, coarser)
 
 
 def make_solver(problem: LayerProblem, name: str) -> LinearSolver:
