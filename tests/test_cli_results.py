@@ -57,7 +57,7 @@ def here(tmp_path, monkeypatch):
 
 def test_a_figure_of_a_result(here, run):
     assert run("figure", "a.nc", "--output", "panel.pdf")[0] == 0
-    options = ["--map", "axial_stress", "--map", "loaded_thickness", "--width", "100"]
+    options = ["--map", "axial_stress", "--map", "algebraic_axial_stress", "--width", "100"]
     options += ["--limits", "-9", "0", "--scale-bar", "--regions", "bump.roi"]
     status, out, err = run("figure", "a.nc", *options, "--output", "maps.svg")
     assert (status, err) == (0, "")
@@ -99,6 +99,9 @@ def test_comparison_of_results(here, run):
     maps = [read_result(name).maps["axial_stress"] for name in ("a.nc", "b.nc")]
     np.testing.assert_allclose(found["difference"][0], maps[1] - maps[0], atol=1e-12)
     assert (here / "c.png").stat().st_size > 1000
+    status, _, err = run("figure", "c.nc", "--output", "x.png")
+    assert status == 2
+    assert "c.nc: holds a comparison of results and no result" in err
     assert run("compare", "a.nc")[0] == 2
     assert run("compare", "a.nc", "a.nc")[0] == 2
 

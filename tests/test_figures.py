@@ -217,6 +217,8 @@ def test_options_that_cannot_be_used_leave_nothing(tmp_path):
         write_maps(result(), path, ["strain"])
     with pytest.raises(InputError, match="lowest and highest"):
         write_maps(result(), path, limits=(1.0, 0.0))
+    with pytest.raises(InputError, match="limits: the maps are in kPa and mm"):
+        write_maps(result(), path, ["axial_stress", "loaded_thickness"], limits=(-5.0, 0.0))
     with pytest.raises(InputError, match="did you mean viridis"):
         write_maps(result(), path, colours="virids")
     with pytest.raises(InputError, match="'single', 'double'"):

@@ -391,7 +391,8 @@ def write_maps(
     columns
         Maps beside each other; by default one in a single column, three in a double one.
     limits
-        Colour limits of all maps, or by name; those of a name hold for its whole kind.
+        Colour limits of all maps, which then have one unit; or by name, and those of a name hold for
+        its whole kind.
     colours
         A colour map instead of those of each quantity.
     scale_bar
@@ -418,6 +419,14 @@ def write_maps(
     if not names:
         raise InputError("names: give at least one map")
     terms = {name: _known_term(maps, name) for name in names}
+    if limits is not None and not isinstance(limits, Mapping):
+        units = {what.units for what in terms.values() if what.has_limits}
+        if len(units) > 1:
+            said = " and ".join(sorted(unit or "numbers without a unit" for unit in units))
+            raise InputError(
+                f"limits: the maps are in {said}, and one pair of limits is for one unit; draw "
+                "figures of their own, or in Python give limits by map, {'axial_stress': (-5, 0)}"
+            )
     by_scale = _limits(maps, terms, limits)
     across = columns or (1 if width_in_mm(width) < 120 else 3)
     across = min(across, len(names))
@@ -434,7 +443,7 @@ def write_maps(
                 maps[name],
                 what,
                 limits=by_scale.get(what.scale),
-                colours=colours if what.colours not in ("states", "flags") else None,
+                colours=colours if what.has_limits else None,
                 scale_bar=scale_bar,
                 regions=regions,
             )
@@ -466,7 +475,7 @@ def _limits(
     """Colour limits by scale."""
     found: dict[str, tuple[float, float]] = {}
     for what in terms.values():
-        if what.colours in ("states", "flags"):
+        if not what.has_limits:
             continue
         same = {n: maps[n] for n, t in terms.items() if t.scale == what.scale}
         found[what.scale] = common_limits(same, what.colours)

@@ -51,6 +51,11 @@ class Term:
         """Words and unit."""
         return f"{self.words} ({self.units})" if self.units else self.words
 
+    @property
+    def has_limits(self) -> bool:
+        """Whether its colours run from a lowest to a highest value."""
+        return self.colours not in ("states", "flags")
+
 
 _TERMS = {
     "axial_stress": Term("Axial stress", "kPa", STRESS, "stress"),
