@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 from PIL import Image
 
 from optical_palpation.analysis import Region
@@ -71,6 +72,19 @@ def test_the_colour_bar_is_as_high_as_the_map(size):
             assert shaft.height == pytest.approx(box.height, rel=0.08)  # tips may be added
             assert bar.get_tightbbox().x1 <= figure.bbox.x1
         assert pair[0].child_axes[0].get_tightbbox().x1 < pair[1].get_tightbbox().x0
+
+
+def test_the_colour_bar_of_a_figure_without_a_layout_leaves_the_next_axes_alone():
+    figure = Figure(figsize=(8.0, 3.5))
+    left, right = figure.subplots(1, 2)
+    for axes in (left, right):
+        result().plot("loaded_thickness", ax=axes)
+    figure.draw_without_rendering()
+    for axes, bar in zip((left, right), figure.axes[2:], strict=True):
+        shaft, box = bar.get_window_extent(), axes.get_window_extent()
+        assert shaft.height == pytest.approx(box.height, rel=0.08)
+        assert bar.get_tightbbox().x0 > box.x1
+    assert figure.axes[2].get_tightbbox().x1 < right.get_tightbbox().x0
 
 
 @pytest.mark.parametrize(("width", "height"), [(4.0, 2.0), (4.0, 4.2), (20.0, 12.0), (0.3, 0.25)])

@@ -33,6 +33,8 @@ COLUMNS = {"single": 85.0, "double": 178.0}
 _MM = 1 / 25.4
 # Where the sides matter all over a map, hatching would only hide it.
 _ALL, _HATCH = 0.95, "#A0A0A0"
+# Room for the numbers of a colour bar, inches.
+_NUMBERS = 0.4
 _DPI = 300
 _STYLE: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
@@ -262,7 +264,12 @@ def _beside(axes: Axes) -> dict[str, Any]:
     A layout that knows nothing of what lies beside axes has to take the room from the axes.
     """
     if axes.figure.get_layout_engine() is None:
-        return {"ax": axes, "fraction": 0.05}
+        from mpl_toolkits.axes_grid1 import axes_size, make_axes_locatable
+
+        divider = make_axes_locatable(axes)
+        bar = divider.append_axes("right", "5%", 0.08)
+        divider.set_horizontal([*divider.get_horizontal(), axes_size.Fixed(_NUMBERS)])
+        return {"cax": bar}
     aspect = float(np.ptp(axes.get_ylim()) / np.ptp(axes.get_xlim()))
     width, height = 0.05 * np.clip(aspect, 0.6, 2.0), max(1.0, 0.25 / aspect)
     return {"cax": axes.inset_axes((1.04, (1.0 - height) / 2, width, height))}
