@@ -2,6 +2,7 @@
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from optical_palpation.errors import InputError, OutputError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present import write_maps, write_panel
 from optical_palpation.present.figure import colour_map, draw_map, new_figure
+from optical_palpation.present.panel import draw_panel
 from optical_palpation.present.terms import term
 
 X, Y = np.linspace(0, 4, 33), np.linspace(1, 3, 17)
@@ -193,6 +195,46 @@ def test_maps_of_one_kind_share_their_limits(tmp_path, monkeypatch):
     assert seen["Loaded thickness"] != seen["Axial stress, algebraic"]
     write_maps(result(), tmp_path / "f.png", names, limits={"algebraic_axial_stress": (-9, 0)})
     assert seen["Axial stress, computational"] == (-9.0, 0.0)
+
+
+def with_pixels():
+    """The result with what is known on pixels that are ten times as small as the elements."""
+    it = result()
+    x, y = np.linspace(0, 4, 321), np.linspace(1, 3, 161)
+    return replace(
+        it, pixels=it.maps[["algebraic_axial_stress", "loaded_thickness"]].interp(x=x, y=y)
+    )
+
+
+def test_single_maps_are_as_fine_as_those_of_the_panel(tmp_path, monkeypatch):
+    from optical_palpation.present import figure as module
+
+    seen = {}
+
+    def watched(axes, field, what, **options):
+        seen[field.name] = field.shape, axes, options
+        return draw_map(axes, field, what, **options)
+
+    monkeypatch.setattr(module, "draw_map", watched)
+    names = ["axial_stress", "algebraic_axial_stress", "loaded_thickness"]
+    write_maps(with_pixels(), tmp_path / "f.png", names)
+    assert [seen[name][0] for name in names] == [(17, 33), (161, 321), (161, 321)]
+    frames = {(*axes.get_xlim(), *axes.get_ylim()) for _, axes, _ in seen.values()}
+    assert len(frames) == 1
+    axes = with_pixels().plot("loaded_thickness", ax=Figure().subplots())
+    assert axes.collections[0].get_array().shape == (161, 321)
+
+
+def test_maps_of_the_panel_show_the_same_part_of_the_plane():
+    it = with_pixels()
+    with new_figure() as figure:
+        draw_panel(it.maps, figure, it.pixels)
+    maps = [axes for axes in figure.axes if axes.get_xlabel().startswith("x") and axes.collections]
+    maps = [axes for axes in maps if axes.get_ylabel() == "y (mm)"]
+    assert len(maps) == 4
+    for axes in maps:  # what pixels cover, half of one beyond their centres
+        assert axes.get_xlim() == pytest.approx((-0.00625, 4.00625))
+        assert axes.get_ylim() == pytest.approx((0.99375, 3.00625))
 
 
 def lightness(colours):

@@ -149,7 +149,7 @@ class StressResult:
         """
         from optical_palpation.present.figure import plot_map
 
-        return plot_map(self.maps, name, ax, **options)
+        return plot_map(self, name, ax, **options)
 
     def profile(
         self, line: str | Sequence[Sequence[float]] = "x", width: float = 0.0

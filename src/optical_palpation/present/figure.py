@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -186,6 +186,7 @@ def draw_map(
     scale_bar: bool = False,
     colour_bar: bool = True,
     regions: Sequence[Region] = (),
+    frame: Mapping[str, tuple[float, float]] | None = None,
 ) -> ScalarMappable:
     """Draw a map, true to scale, with its name, unit and colour bar.
 
@@ -207,6 +208,8 @@ def draw_map(
         Whether to draw one.
     regions
         Regions of interest to outline.
+    frame
+        Limits of x and y, as from :func:`common_frame`; those of the map by default.
     """
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
@@ -233,6 +236,8 @@ def draw_map(
     mesh = axes.pcolormesh(field["x"], field["y"], values, **options)
     axes.set_title(what.label, loc="left")
     axes.set_aspect("equal")
+    if frame is not None:
+        axes.set(xlim=frame["x"], ylim=frame["y"])
     if scale_bar:
         axes.set(xticks=[], yticks=[])
         _scale_bar(axes, float(np.ptp(axes.get_xlim())))
@@ -256,6 +261,33 @@ def draw_map(
             figure.colorbar(mesh, **beside, extend=extend, extendfrac=0.03)
     _outline(axes, regions, field)
     return mesh
+
+
+def finest(
+    maps: xr.Dataset, pixels: xr.Dataset | None, names: Iterable[str]
+) -> dict[str, xr.DataArray]:
+    """Maps by name, each on the pixels of the image where it is known on these."""
+    fine = xr.Dataset() if pixels is None else pixels
+    return {name: fine[name] if name in fine else maps[name] for name in names}
+
+
+def common_frame(fields: Collection[xr.DataArray]) -> dict[str, tuple[float, float]] | None:
+    """Limits of x and y (mm) of the plane that all maps cover; None where there is none.
+
+    Points of a coarse grid stand for more around them, and maps of two grids would else begin at
+    different places.
+    """
+    found = {}
+    for axis in ("x", "y"):
+        places = [np.sort(field[axis].values) for field in fields]
+        if min(map(len, places)) < 2:
+            return None
+        low = max(float(1.5 * at[0] - 0.5 * at[1]) for at in places)
+        high = min(float(1.5 * at[-1] - 0.5 * at[-2]) for at in places)
+        if not low < high:
+            return None
+        found[axis] = (low, high)
+    return found
 
 
 def _beside(axes: Axes) -> dict[str, Any]:
@@ -383,7 +415,8 @@ def write_maps(
     """Write maps of a result as a figure for a paper (PNG, PDF or SVG by the name's ending).
 
     All maps have the same axes; those of one kind, such as stress by both methods, share their
-    colour limits. Names of quantities and units are in words.
+    colour limits. Thickness and algebraic stress have the resolution of the image, not that of the
+    elements. Names of quantities and units are in words.
 
     Parameters
     ----------
@@ -398,8 +431,8 @@ def write_maps(
     columns
         Maps beside each other; by default one in a single column, three in a double one.
     limits
-        Colour limits of all maps, which then have one unit; or by name, and those of a name hold for
-        its whole kind.
+        Colour limits of all maps, which then have one unit; or by name, and those of a name hold
+        for its whole kind.
     colours
         A colour map instead of those of each quantity.
     scale_bar
@@ -416,13 +449,14 @@ def write_maps(
     OutputError
         If the file cannot be written.
     """
-    maps = result.maps if isinstance(result, StressResult) else result
+    whole = isinstance(result, StressResult)
+    maps, pixels = (result.maps, result.pixels) if whole else (result, None)
     check_instance(maps, xr.Dataset, "result", "a StressResult, or a Dataset of maps")
     names = [names] if isinstance(names, str) else names
     for region in regions:
         check_instance(region, Region, "regions", "a list of Region (op.read_regions)")
     if "loaded_thickness" in maps:
-        maps = on_layer(maps)
+        maps, pixels = on_layer(maps), None if pixels is None else on_layer(pixels)
     if not names:
         raise InputError("names: give at least one map")
     terms = {name: _known_term(maps, name) for name in names}
@@ -434,7 +468,9 @@ def write_maps(
                 f"limits: the maps are in {said}, and one pair of limits is for one unit; draw "
                 "figures of their own, or in Python give limits by map, {'axial_stress': (-5, 0)}"
             )
-    by_scale = _limits(maps, terms, limits)
+    fields = finest(maps, pixels, terms)
+    by_scale = _limits(fields, terms, limits)
+    frame = common_frame(fields.values())
     across = columns or (1 if width_in_mm(width) < 120 else 3)
     across = min(across, len(names))
     down = -(-len(names) // across)
@@ -447,12 +483,13 @@ def write_maps(
         for axes, (name, what) in zip(panels, terms.items(), strict=False):
             draw_map(
                 axes,
-                maps[name],
+                fields[name],
                 what,
                 limits=by_scale.get(what.scale),
                 colours=colours if what.has_limits else None,
                 scale_bar=scale_bar,
                 regions=regions,
+                frame=frame,
             )
         for axes in panels[len(names) :]:
             axes.remove()
@@ -475,7 +512,7 @@ def _known_term(maps: xr.Dataset, name: str) -> Term:
 
 
 def _limits(
-    maps: xr.Dataset,
+    fields: Mapping[str, xr.DataArray],
     terms: Mapping[str, Term],
     given: Mapping[str, tuple[float, float]] | tuple[float, float] | None,
 ) -> dict[str, tuple[float, float]]:
@@ -484,7 +521,7 @@ def _limits(
     for what in terms.values():
         if not what.has_limits:
             continue
-        same = {n: maps[n] for n, t in terms.items() if t.scale == what.scale}
+        same = {n: fields[n] for n, t in terms.items() if t.scale == what.scale}
         found[what.scale] = common_limits(same, what.colours)
         if isinstance(given, Mapping):
             chosen = [given[n] for n in same if n in given]
@@ -507,7 +544,7 @@ def _checked(limits: object) -> tuple[float, float]:
     return low, high
 
 
-def plot_map(maps: xr.Dataset, name: str, axes: Axes | None = None, **options: Any) -> Axes:
+def plot_map(result: StressResult, name: str, axes: Axes | None = None, **options: Any) -> Axes:
     """Draw one map of a result into axes, those of a new pyplot figure by default.
 
     `options` are those of :func:`draw_map`.
@@ -520,7 +557,7 @@ def plot_map(maps: xr.Dataset, name: str, axes: Axes | None = None, **options: A
     known = {"limits", "colours", "scale_bar", "colour_bar", "regions"}
     if unknown := set(options) - known:
         raise InputError(f"{', '.join(sorted(unknown))}: options are {', '.join(sorted(known))}")
-    what = _known_term(maps, name)
+    what = _known_term(result.maps, name)
     if axes is not None:
         from matplotlib.axes import Axes as Matplotlib
 
@@ -529,5 +566,6 @@ def plot_map(maps: xr.Dataset, name: str, axes: Axes | None = None, **options: A
         from matplotlib import pyplot
 
         axes = pyplot.figure(layout="constrained").subplots()
-    draw_map(axes, maps[name], what, **options)
+    (field,) = finest(result.maps, result.pixels, [name]).values()
+    draw_map(axes, field, what, **options)
     return axes
