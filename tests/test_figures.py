@@ -267,6 +267,55 @@ def test_regions_are_outlined_by_name(tmp_path):
     assert "soft" in texts(tmp_path / "f.svg")
 
 
+def drawn(regions):
+    """Axes with the map and regions on it."""
+    maps = result().maps
+    with new_figure("single", 60) as figure:
+        axes = figure.subplots()
+        draw_map(axes, maps["axial_stress"], term(maps, "axial_stress"), regions=regions)
+        figure.draw_without_rendering()
+    return axes
+
+
+def test_a_mask_is_outlined_along_the_edges_of_its_pixels():
+    x, y = result().maps["x"], result().maps["y"]
+    mask = ((x >= 3) & (y > 2.5)) | ((x < 1) & (y < 1.3) & (y > 1.1))
+    axes = drawn([Region.of_mask("corner and island", mask.transpose("y", "x"))])
+    (line,) = axes.lines
+    at = line.get_xydata().reshape(-1, 3, 2)[:, :2]
+    assert np.isfinite(at).all()
+    np.testing.assert_allclose((at[..., 0] / 0.125) % 1, 0.5)  # half way between pixels
+    np.testing.assert_allclose((at[..., 1] / 0.125) % 1, 0.5)
+    # closed at the border of the map, too: 9 x 4 and 8 x 2 pixels
+    assert np.abs(np.diff(at, axis=1)).sum() == pytest.approx(0.125 * (2 * (9 + 4) + 2 * (8 + 2)))
+
+
+def test_names_of_regions_are_at_the_centres_of_their_areas():
+    corners = [(0.5, 1.5), (0.6, 1.5), (0.7, 1.5), (0.8, 1.5), (3.5, 1.5), (3.5, 2.5), (0.5, 2.5)]
+    (label,) = drawn([Region.polygon("a", corners)]).texts
+    assert label.get_position() == pytest.approx((2.0, 2.0))
+
+
+def test_names_of_regions_neither_lie_on_each_other_nor_cross_the_map():
+    long = "the upper part of the second specimen before it was cut, region "
+    regions = [
+        Region.ellipse("core", (2, 2), (0.3, 0.3)),
+        Region.ellipse("surroundings", (2, 2), (0.8, 0.8)),
+        Region.rectangle(f"{long} 1", 0.1, 0.4, 1.1, 1.4),
+        Region.rectangle(f"{long} 2", 0.5, 0.8, 1.1, 1.4),
+    ]
+    axes = drawn(regions)
+    boxes = [text.get_window_extent() for text in axes.texts]
+    whole = axes.get_window_extent()
+    for k, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:k])
+        assert whole.x0 <= box.x0
+        assert box.width < 0.6 * whole.width
+    names = [text.get_text() for text in axes.texts]
+    assert names[:2] == ["core", "surroundings"]
+    assert len(set(names)) == 4  # still told apart
+
+
 def test_options_that_cannot_be_used_leave_nothing(tmp_path):
     path = tmp_path / "f.png"
     with pytest.raises(InputError, match="known are axial_stress"):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from optical_palpation.analysis import Region
 from optical_palpation.arguments import check_instance, in_words
@@ -259,7 +260,7 @@ def draw_map(
             ends = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}
             extend = ends[int(beyond[0]), int(beyond[1])]
             figure.colorbar(mesh, **beside, extend=extend, extendfrac=0.03)
-    _outline(axes, regions, field)
+    _outline(axes, regions)
     return mesh
 
 
@@ -366,22 +367,82 @@ def _scale_bar(axes: Axes, width: float) -> None:
     axes.add_artist(bar)
 
 
-def _outline(axes: Axes, regions: Sequence[Region], field: xr.DataArray) -> None:
+def _outline(axes: Axes, regions: Sequence[Region]) -> None:
+    """Draw the borders of regions, and their names."""
     from matplotlib.patheffects import withStroke
 
     halo = [withStroke(linewidth=2.2, foreground="black")]
+    centres = []
     for region in regions:
-        if region.outlines:
-            for outline in region.outlines:
-                closed = np.vstack([outline, outline[:1]])
-                axes.plot(*closed.T, color="white", lw=1.0, path_effects=halo)
-            x, y = map(float, np.concatenate(region.outlines).mean(0))
+        if region.mask is None:
+            lines = [np.vstack([outline, outline[:1]]) for outline in region.outlines]
+            # of the largest: one within it is a hole
+            centres.append(max(map(_centre, region.outlines), key=lambda found: found[0])[1])
         else:
-            weight = region.weights(field)
-            axes.contour(field["x"], field["y"], weight, [0.5], colors="white", linewidths=1.0)
-            x, y = (float((weight * field[axis]).sum() / weight.sum()) for axis in "xy")
-        plate = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
-        axes.text(x, y, region.name, ha="center", va="center", bbox=plate, clip_on=True)
+            lines = [_pixel_edges(region.mask, axes.get_xlim(), axes.get_ylim())]
+            inside = region.mask.where(region.mask >= 0.5, 0.0)
+            share = [float((inside * inside[axis]).sum() / inside.sum()) for axis in "xy"]
+            centres.append(np.array(share))
+        for line in lines:
+            axes.plot(*line.T, color="white", lw=1.0, path_effects=halo)
+    if regions:
+        _label(axes, [region.name for region in regions], centres)
+
+
+def _centre(polygon: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    """Area of a polygon and the centre of that."""
+    start = polygon[0]
+    a, b = polygon - start, np.roll(polygon, -1, axis=0) - start
+    twice = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    area = float(twice.sum()) / 2
+    middle = (a + b).T @ twice / (6 * area) if area else (polygon - start).mean(0)
+    return abs(area), start + middle
+
+
+def _pixel_edges(
+    mask: xr.DataArray, across: tuple[float, float], up: tuple[float, float]
+) -> NDArray[np.float64]:
+    """Border of the pixels of a mask as lines with gaps, (n, 2), within what is shown of it."""
+    mask = mask.transpose("y", "x").sortby(["y", "x"])
+    inside = np.pad(mask.values >= 0.5, 1)
+    edges = []
+    for axis, shown in (("x", across), ("y", up)):
+        at = mask[axis].values
+        half = (at[-1] - at[0]) / (at.size - 1) / 2 if at.size > 1 else np.ptp(shown) / 2
+        edges.append(np.clip(np.append(at - half, at[-1] + half), *shown))
+    x, y = edges
+    gap = (np.nan, np.nan)
+    rows, columns = np.nonzero(inside[1:, 1:-1] != inside[:-1, 1:-1])
+    lines = [((x[j], y[i]), (x[j + 1], y[i]), gap) for i, j in zip(rows, columns, strict=True)]
+    rows, columns = np.nonzero(inside[1:-1, 1:] != inside[1:-1, :-1])
+    lines += [((x[j], y[i]), (x[j], y[i + 1]), gap) for i, j in zip(rows, columns, strict=True)]
+    return np.array(lines, dtype=float).reshape(-1, 2)
+
+
+def _label(axes: Axes, names: Sequence[str], centres: Sequence[NDArray[np.float64]]) -> None:
+    """Write names at places (x, y), shortened to half of the map, and not on each other."""
+    figure: Any = axes.get_figure(root=True)
+    with warnings.catch_warnings():  # should there be no room, that is told when it is written
+        warnings.simplefilter("ignore", UserWarning)
+        figure.draw_without_rendering()  # places and sizes are known from then on
+    whole, taken = axes.get_window_extent(), []
+    rim = 0.05 * whole.width  # by which later maps of the figure may narrow this one
+    plate = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
+    for name, centre in zip(names, centres, strict=True):
+        text = axes.text(*centre, name, ha="center", va="center", bbox=plate, clip_on=True)
+        box = text.get_window_extent()
+        if box.width > 0.5 * whole.width:
+            kept = max(int(0.5 * len(name) * whole.width / box.width), 3)
+            text.set_text(f"{name[: kept - kept // 2]}…{name[len(name) - kept // 2 :]}")
+            box = text.get_window_extent()
+        x = np.clip(0.0, whole.x0 + rim - box.x0, whole.x1 - rim - box.x1)
+        steps = [1.3 * box.height * k for n in range(len(taken) + 1) for k in (n, -n)]
+        moved = [box.translated(x, y) for y in steps]
+        free = [b for b in moved if not any(b.overlaps(other) for other in taken)]
+        box = next((b for b in free if whole.y0 <= b.y0 and b.y1 <= whole.y1), moved[0])
+        taken.append(box)
+        middle = ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2)
+        text.set_position(axes.transData.inverted().transform(middle))
 
 
 def letter(panels: Sequence[Axes]) -> None:
