@@ -323,6 +323,7 @@ def test_masks_that_programs_show_differently_are_refused(tmp_path):
         ("a.zip", b"PK nothing", "a.zip"),
         ("a.csv", b"x,y\n1,2\n", "name, x_mm, y_mm"),
         ("a.csv", b"", "a.csv"),
+        ("a.csv", b"name,x_mm,y_mm\na,1,2\na,3,4\n", "a.csv: region 'a', .*, not 2 of them"),
         ("a.npy", b"\x93NUMPY", "a.npy"),
         ("a.txt", b"", "regions are read from"),
     ],

@@ -425,24 +425,28 @@ def _label(axes: Axes, names: Sequence[str], centres: Sequence[NDArray[np.float6
     with warnings.catch_warnings():  # should there be no room, that is told when it is written
         warnings.simplefilter("ignore", UserWarning)
         figure.draw_without_rendering()  # places and sizes are known from then on
-    whole, taken = axes.get_window_extent(), []
+    whole = axes.get_window_extent()
+    taken: list[Any] = []
     rim = 0.05 * whole.width  # by which later maps of the figure may narrow this one
     plate = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
     for name, centre in zip(names, centres, strict=True):
-        text = axes.text(*centre, name, ha="center", va="center", bbox=plate, clip_on=True)
+        text = axes.text(
+            centre[0], centre[1], name, ha="center", va="center", bbox=plate, clip_on=True
+        )
         box = text.get_window_extent()
         if box.width > 0.5 * whole.width:
             kept = max(int(0.5 * len(name) * whole.width / box.width), 3)
             text.set_text(f"{name[: kept - kept // 2]}…{name[len(name) - kept // 2 :]}")
             box = text.get_window_extent()
-        x = np.clip(0.0, whole.x0 + rim - box.x0, whole.x1 - rim - box.x1)
+        aside = np.clip(0.0, whole.x0 + rim - box.x0, whole.x1 - rim - box.x1)
         steps = [1.3 * box.height * k for n in range(len(taken) + 1) for k in (n, -n)]
-        moved = [box.translated(x, y) for y in steps]
+        moved = [box.translated(aside, up) for up in steps]
         free = [b for b in moved if not any(b.overlaps(other) for other in taken)]
         box = next((b for b in free if whole.y0 <= b.y0 and b.y1 <= whole.y1), moved[0])
         taken.append(box)
         middle = ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2)
-        text.set_position(axes.transData.inverted().transform(middle))
+        x, y = axes.transData.inverted().transform(middle)
+        text.set_position((x, y))
 
 
 def letter(panels: Sequence[Axes]) -> None:
@@ -510,9 +514,11 @@ def write_maps(
     OutputError
         If the file cannot be written.
     """
-    whole = isinstance(result, StressResult)
-    maps, pixels = (result.maps, result.pixels) if whole else (result, None)
+    pixels = result.pixels if isinstance(result, StressResult) else None
+    maps = result.maps if isinstance(result, StressResult) else result
     check_instance(maps, xr.Dataset, "result", "a StressResult, or a Dataset of maps")
+    kind = "that of a map, such as 'axial_stress', or a list of these"
+    check_instance(names, (str, Sequence), "names", kind)
     names = [names] if isinstance(names, str) else names
     for region in regions:
         check_instance(region, Region, "regions", "a list of Region (op.read_regions)")
@@ -599,9 +605,8 @@ def _checked(limits: object) -> tuple[float, float]:
     except (TypeError, ValueError):
         low = high = np.nan
     if not (np.isfinite([low, high]).all() and low < high):
-        raise InputError(
-            f"limits: lowest and highest value, such as (-5, 0), not {in_words(limits)}"
-        )
+        found = in_words(limits) if np.isnan([low, high]).any() else f"{low:g} and {high:g}"
+        raise InputError(f"limits: lowest and highest value, such as -5 and 0, not {found}")
     return low, high
 
 
