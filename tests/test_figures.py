@@ -151,6 +151,20 @@ def test_the_same_result_gives_the_same_file(tmp_path):
     assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
 
 
+def test_fractions_are_shown_in_percent(tmp_path):
+    maps = result().maps
+    share = 0.014 * maps["x"] / maps["x"].max() + 0 * maps["axial_stress"]
+    maps["edge_influence"] = share.drop_attrs()
+    maps["sample_modulus_error"] = maps["edge_influence"].assign_attrs(units="1")
+    write_maps(maps, tmp_path / "f.svg", ["edge_influence", "sample_modulus_error"])
+    said = texts(tmp_path / "f.svg")
+    assert "Influence of the sides (%)" in said
+    assert "95 % band of the modulus, ± (%)" in said
+    axes = StressResult(maps).plot("edge_influence", ax=Figure().subplots())
+    assert axes.collections[0].get_array().max() == pytest.approx(1.4)
+    assert float(maps["edge_influence"].max()) == pytest.approx(0.014)
+
+
 def test_a_scale_bar_takes_the_place_of_axes(tmp_path):
     write_maps(result(), tmp_path / "f.svg", scale_bar=True)
     said = texts(tmp_path / "f.svg")

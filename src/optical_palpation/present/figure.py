@@ -20,7 +20,15 @@ from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic, provenance
 from optical_palpation.present.profiles import on_layer
-from optical_palpation.present.terms import STATES, Term, common_limits, is_map, percent, term
+from optical_palpation.present.terms import (
+    STATES,
+    Term,
+    common_limits,
+    in_percent,
+    is_map,
+    percent,
+    term,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -524,6 +532,7 @@ def write_maps(
         check_instance(region, Region, "regions", "a list of Region (op.read_regions)")
     if "loaded_thickness" in maps:
         maps, pixels = on_layer(maps), None if pixels is None else on_layer(pixels)
+    maps = in_percent(maps)
     if not names:
         raise InputError("names: give at least one map")
     terms = {name: _known_term(maps, name) for name in names}
@@ -623,7 +632,8 @@ def plot_map(result: StressResult, name: str, axes: Axes | None = None, **option
     known = {"limits", "colours", "scale_bar", "colour_bar", "regions"}
     if unknown := set(options) - known:
         raise InputError(f"{', '.join(sorted(unknown))}: options are {', '.join(sorted(known))}")
-    what = _known_term(result.maps, name)
+    maps = in_percent(result.maps)
+    what = _known_term(maps, name)
     if axes is not None:
         from matplotlib.axes import Axes as Matplotlib
 
@@ -632,6 +642,6 @@ def plot_map(result: StressResult, name: str, axes: Axes | None = None, **option
         from matplotlib import pyplot
 
         axes = pyplot.figure(layout="constrained").subplots()
-    (field,) = finest(result.maps, result.pixels, [name]).values()
+    (field,) = finest(maps, result.pixels, [name]).values()
     draw_map(axes, field, what, **options)
     return axes
