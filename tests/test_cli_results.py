@@ -66,7 +66,9 @@ def test_a_figure_of_a_result(here, run):
     status, _, err = run("figure", "a.nc", "--map", "strain", "--output", "x.png")
     assert status == 2
     assert "known are" in err
-    assert run("figure", "a.nc", "--scale-bar", "--output", "x.png")[0] == 2
+    status, _, err = run("figure", "a.nc", "--scale-bar", "--columns", 2, "--output", "x.png")
+    assert status == 2
+    assert "--columns, --scale-bar: only of maps" in err
     assert run("figure", "a.nc", "--map", "axial_stress", "--width", "wide", "--output", "x.png")[
         0
     ] == 2  # fmt: skip

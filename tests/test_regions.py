@@ -453,6 +453,20 @@ def test_results_that_cannot_be_compared():
         compare_results({"a": first, "b": xr.Dataset()})
     with pytest.raises(InputError, match="to register by"):
         compare_results({"a": first, "b": first}, register=True)
+    states = first.assign(contact_state=(first["axial_stress"] < -1).astype(np.int8))
+    with pytest.raises(InputError, match="contact_state: holds states"):
+        compare_results({"a": states, "b": states}, "contact_state")
+
+
+@pytest.mark.parametrize(
+    ("attrs", "words"), [({}, "0 ("), ({"units": "1"}, "0 ("), ({"units": "kPa"}, "0 kPa (")]
+)
+def test_a_comparison_says_the_unit_where_there_is_one(attrs, words):
+    maps = maps_of(bumps)
+    maps["axial_stress"].attrs = attrs
+    text = comparison_in_words(compare_results({"a": maps, "b": maps}))
+    assert f"rms difference {words}" in text
+    assert "  " not in text.splitlines()[1].strip()
 
 
 def test_the_error_of_a_modulus_is_a_share_of_it():
