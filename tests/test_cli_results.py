@@ -5,6 +5,7 @@ import re
 import shlex
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -152,12 +153,17 @@ def test_matlab_file_has_axes_and_units(tmp_path):
     it.maps.attrs["a_parameter_with_a_name_of_more_than_31_letters"] = 1.0
     flags = {"flag_values": [0, 1, 2], "flag_meanings": "open slip stick"}
     it.maps["contact_state"] = xr.zeros_like(it.maps["axial_stress"], np.int8).assign_attrs(flags)
+    fine = it.maps[["loaded_thickness"]].interp(x=np.linspace(1, 2, 51), y=np.linspace(1, 2, 41))
+    it = replace(it, pixels=fine)
     write_mat(it, tmp_path / "o.mat")
     content = scipy.io.loadmat(tmp_path / "o.mat", simplify_cells=True)
     np.testing.assert_array_equal(content["axial_stress"], it.maps["axial_stress"])
     np.testing.assert_array_equal(content["x"].ravel(), X)
     assert content["units"]["axial_stress"] == "kPa"
     assert content["units"]["loaded_thickness"] == "mm"
+    np.testing.assert_array_equal(content["pixel_loaded_thickness"], fine["loaded_thickness"])
+    np.testing.assert_array_equal(content["pixel_y"].ravel(), fine["y"])
+    assert content["units"]["pixel_loaded_thickness"] == content["units"]["pixel_x"] == "mm"
     assert "0 open, 1 slip" in content["meaning"]["contact_state"]
     assert content["provenance"]["c10_kPa"] == 2.23
 
