@@ -395,6 +395,21 @@ def errors_of(study, **how):
     )
 
 
+def test_quiet_does_not_keep_failures_to_itself(tmp_path, monkeypatch, run):
+    make_scans(tmp_path, 1)
+
+    def failing(batch, **_):
+        outcomes = (Outcome("s0", "done"), Outcome("s1", "failed", "no luck"))
+        return BatchResult(batch.folder, outcomes, ())
+
+    monkeypatch.setattr("optical_palpation.batch.run_batch", failing)
+    scans = table(tmp_path, ["0.npz", "damaged.npz"])
+    assert run("batch", scans, "--quiet") == (1, "", "failed: s1: no luck\n")
+    status, out, err = run("batch", scans)
+    assert (status, err) == (1, "failed: s1: no luck\n")
+    assert "1 of 2 scans done" in out
+
+
 def test_points_of_a_sweep_that_fail_on_workers(tmp_path, monkeypatch):
     make_scans(tmp_path, 1)
     study = op.Study.read(tmp_path / "study.toml")

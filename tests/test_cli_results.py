@@ -5,6 +5,7 @@ import re
 import shlex
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ def here(tmp_path, monkeypatch):
 
 def test_a_figure_of_a_result(here, run):
     assert run("figure", "a.nc", "--output", "panel.pdf")[0] == 0
-    options = ["--map", "axial_stress", "--map", "loaded_thickness", "--width", "100"]
+    options = ["--map", "axial_stress", "--map", "algebraic_axial_stress", "--width", "100"]
     options += ["--limits", "-9", "0", "--scale-bar", "--regions", "bump.roi"]
     status, out, err = run("figure", "a.nc", *options, "--output", "maps.svg")
     assert (status, err) == (0, "")
@@ -66,7 +67,9 @@ def test_a_figure_of_a_result(here, run):
     status, _, err = run("figure", "a.nc", "--map", "strain", "--output", "x.png")
     assert status == 2
     assert "known are" in err
-    assert run("figure", "a.nc", "--scale-bar", "--output", "x.png")[0] == 2
+    status, _, err = run("figure", "a.nc", "--scale-bar", "--columns", 2, "--output", "x.png")
+    assert status == 2
+    assert "--columns, --scale-bar: only of maps" in err
     assert run("figure", "a.nc", "--map", "axial_stress", "--width", "wide", "--output", "x.png")[
         0
     ] == 2  # fmt: skip
@@ -99,6 +102,9 @@ def test_comparison_of_results(here, run):
     maps = [read_result(name).maps["axial_stress"] for name in ("a.nc", "b.nc")]
     np.testing.assert_allclose(found["difference"][0], maps[1] - maps[0], atol=1e-12)
     assert (here / "c.png").stat().st_size > 1000
+    status, _, err = run("figure", "c.nc", "--output", "x.png")
+    assert status == 2
+    assert "c.nc: holds a comparison of results and no result" in err
     assert run("compare", "a.nc")[0] == 2
     assert run("compare", "a.nc", "a.nc")[0] == 2
 
@@ -147,12 +153,17 @@ def test_matlab_file_has_axes_and_units(tmp_path):
     it.maps.attrs["a_parameter_with_a_name_of_more_than_31_letters"] = 1.0
     flags = {"flag_values": [0, 1, 2], "flag_meanings": "open slip stick"}
     it.maps["contact_state"] = xr.zeros_like(it.maps["axial_stress"], np.int8).assign_attrs(flags)
+    fine = it.maps[["loaded_thickness"]].interp(x=np.linspace(1, 2, 51), y=np.linspace(1, 2, 41))
+    it = replace(it, pixels=fine)
     write_mat(it, tmp_path / "o.mat")
     content = scipy.io.loadmat(tmp_path / "o.mat", simplify_cells=True)
     np.testing.assert_array_equal(content["axial_stress"], it.maps["axial_stress"])
     np.testing.assert_array_equal(content["x"].ravel(), X)
     assert content["units"]["axial_stress"] == "kPa"
     assert content["units"]["loaded_thickness"] == "mm"
+    np.testing.assert_array_equal(content["pixel_loaded_thickness"], fine["loaded_thickness"])
+    np.testing.assert_array_equal(content["pixel_y"].ravel(), fine["y"])
+    assert content["units"]["pixel_loaded_thickness"] == content["units"]["pixel_x"] == "mm"
     assert "0 open, 1 slip" in content["meaning"]["contact_state"]
     assert content["provenance"]["c10_kPa"] == 2.23
 
@@ -385,8 +396,8 @@ def test_all_commands_speak_alike(name, run):
     assert ("Cost: " in out) >= (name in LONG)
     for parameter in command.params:
         metavar = parameter.metavar
-        if metavar:
-            assert metavar == metavar.upper(), metavar
+        for part in metavar.split("|") if metavar else ():  # words that are typed as they stand
+            assert part == part.upper() or part in ("line", "fall", "rise"), metavar
         long = [option for option in parameter.opts if option.startswith("--")]
         assert not [o for o in long if "out" in o and o not in ("--output",)], long
         assert not any(o in ("--silent", "--verbose", "--jobs") for o in parameter.opts)

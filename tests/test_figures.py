@@ -2,10 +2,12 @@
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 from PIL import Image
 
 from optical_palpation.analysis import Region
@@ -13,6 +15,7 @@ from optical_palpation.errors import InputError, OutputError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present import write_maps, write_panel
 from optical_palpation.present.figure import colour_map, draw_map, new_figure
+from optical_palpation.present.panel import draw_panel
 from optical_palpation.present.terms import term
 
 X, Y = np.linspace(0, 4, 33), np.linspace(1, 3, 17)
@@ -71,6 +74,19 @@ def test_the_colour_bar_is_as_high_as_the_map(size):
             assert shaft.height == pytest.approx(box.height, rel=0.08)  # tips may be added
             assert bar.get_tightbbox().x1 <= figure.bbox.x1
         assert pair[0].child_axes[0].get_tightbbox().x1 < pair[1].get_tightbbox().x0
+
+
+def test_the_colour_bar_of_a_figure_without_a_layout_leaves_the_next_axes_alone():
+    figure = Figure(figsize=(8.0, 3.5))
+    left, right = figure.subplots(1, 2)
+    for axes in (left, right):
+        result().plot("loaded_thickness", ax=axes)
+    figure.draw_without_rendering()
+    for axes, bar in zip((left, right), figure.axes[2:], strict=True):
+        shaft, box = bar.get_window_extent(), axes.get_window_extent()
+        assert shaft.height == pytest.approx(box.height, rel=0.08)
+        assert bar.get_tightbbox().x0 > box.x1
+    assert figure.axes[2].get_tightbbox().x1 < right.get_tightbbox().x0
 
 
 @pytest.mark.parametrize(("width", "height"), [(4.0, 2.0), (4.0, 4.2), (20.0, 12.0), (0.3, 0.25)])
@@ -135,6 +151,20 @@ def test_the_same_result_gives_the_same_file(tmp_path):
     assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
 
 
+def test_fractions_are_shown_in_percent(tmp_path):
+    maps = result().maps
+    share = 0.014 * maps["x"] / maps["x"].max() + 0 * maps["axial_stress"]
+    maps["edge_influence"] = share.drop_attrs()
+    maps["sample_modulus_error"] = maps["edge_influence"].assign_attrs(units="1")
+    write_maps(maps, tmp_path / "f.svg", ["edge_influence", "sample_modulus_error"])
+    said = texts(tmp_path / "f.svg")
+    assert "Influence of the sides (%)" in said
+    assert "95 % band of the modulus, ± (%)" in said
+    axes = StressResult(maps).plot("edge_influence", ax=Figure().subplots())
+    assert axes.collections[0].get_array().max() == pytest.approx(1.4)
+    assert float(maps["edge_influence"].max()) == pytest.approx(0.014)
+
+
 def test_a_scale_bar_takes_the_place_of_axes(tmp_path):
     write_maps(result(), tmp_path / "f.svg", scale_bar=True)
     said = texts(tmp_path / "f.svg")
@@ -181,6 +211,46 @@ def test_maps_of_one_kind_share_their_limits(tmp_path, monkeypatch):
     assert seen["Axial stress, computational"] == (-9.0, 0.0)
 
 
+def with_pixels():
+    """The result with what is known on pixels that are ten times as small as the elements."""
+    it = result()
+    x, y = np.linspace(0, 4, 321), np.linspace(1, 3, 161)
+    return replace(
+        it, pixels=it.maps[["algebraic_axial_stress", "loaded_thickness"]].interp(x=x, y=y)
+    )
+
+
+def test_single_maps_are_as_fine_as_those_of_the_panel(tmp_path, monkeypatch):
+    from optical_palpation.present import figure as module
+
+    seen = {}
+
+    def watched(axes, field, what, **options):
+        seen[field.name] = field.shape, axes, options
+        return draw_map(axes, field, what, **options)
+
+    monkeypatch.setattr(module, "draw_map", watched)
+    names = ["axial_stress", "algebraic_axial_stress", "loaded_thickness"]
+    write_maps(with_pixels(), tmp_path / "f.png", names)
+    assert [seen[name][0] for name in names] == [(17, 33), (161, 321), (161, 321)]
+    frames = {(*axes.get_xlim(), *axes.get_ylim()) for _, axes, _ in seen.values()}
+    assert len(frames) == 1
+    axes = with_pixels().plot("loaded_thickness", ax=Figure().subplots())
+    assert axes.collections[0].get_array().shape == (161, 321)
+
+
+def test_maps_of_the_panel_show_the_same_part_of_the_plane():
+    it = with_pixels()
+    with new_figure() as figure:
+        draw_panel(it.maps, figure, it.pixels)
+    maps = [axes for axes in figure.axes if axes.get_xlabel().startswith("x") and axes.collections]
+    maps = [axes for axes in maps if axes.get_ylabel() == "y (mm)"]
+    assert len(maps) == 4
+    for axes in maps:  # what pixels cover, half of one beyond their centres
+        assert axes.get_xlim() == pytest.approx((-0.00625, 4.00625))
+        assert axes.get_ylim() == pytest.approx((0.99375, 3.00625))
+
+
 def lightness(colours):
     """CIE L* of sRGB colours."""
     rgb = np.asarray(colours)[:, :3]
@@ -211,12 +281,63 @@ def test_regions_are_outlined_by_name(tmp_path):
     assert "soft" in texts(tmp_path / "f.svg")
 
 
+def drawn(regions):
+    """Axes with the map and regions on it."""
+    maps = result().maps
+    with new_figure("single", 60) as figure:
+        axes = figure.subplots()
+        draw_map(axes, maps["axial_stress"], term(maps, "axial_stress"), regions=regions)
+        figure.draw_without_rendering()
+    return axes
+
+
+def test_a_mask_is_outlined_along_the_edges_of_its_pixels():
+    x, y = result().maps["x"], result().maps["y"]
+    mask = ((x >= 3) & (y > 2.5)) | ((x < 1) & (y < 1.3) & (y > 1.1))
+    axes = drawn([Region.of_mask("corner and island", mask.transpose("y", "x"))])
+    (line,) = axes.lines
+    at = line.get_xydata().reshape(-1, 3, 2)[:, :2]
+    assert np.isfinite(at).all()
+    np.testing.assert_allclose((at[..., 0] / 0.125) % 1, 0.5)  # half way between pixels
+    np.testing.assert_allclose((at[..., 1] / 0.125) % 1, 0.5)
+    # closed at the border of the map, too: 9 x 4 and 8 x 2 pixels
+    assert np.abs(np.diff(at, axis=1)).sum() == pytest.approx(0.125 * (2 * (9 + 4) + 2 * (8 + 2)))
+
+
+def test_names_of_regions_are_at_the_centres_of_their_areas():
+    corners = [(0.5, 1.5), (0.6, 1.5), (0.7, 1.5), (0.8, 1.5), (3.5, 1.5), (3.5, 2.5), (0.5, 2.5)]
+    (label,) = drawn([Region.polygon("a", corners)]).texts
+    assert label.get_position() == pytest.approx((2.0, 2.0))
+
+
+def test_names_of_regions_neither_lie_on_each_other_nor_cross_the_map():
+    long = "the upper part of the second specimen before it was cut, region "
+    regions = [
+        Region.ellipse("core", (2, 2), (0.3, 0.3)),
+        Region.ellipse("surroundings", (2, 2), (0.8, 0.8)),
+        Region.rectangle(f"{long} 1", 0.1, 0.4, 1.1, 1.4),
+        Region.rectangle(f"{long} 2", 0.5, 0.8, 1.1, 1.4),
+    ]
+    axes = drawn(regions)
+    boxes = [text.get_window_extent() for text in axes.texts]
+    whole = axes.get_window_extent()
+    for k, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:k])
+        assert whole.x0 <= box.x0
+        assert box.width < 0.6 * whole.width
+    names = [text.get_text() for text in axes.texts]
+    assert names[:2] == ["core", "surroundings"]
+    assert len(set(names)) == 4  # still told apart
+
+
 def test_options_that_cannot_be_used_leave_nothing(tmp_path):
     path = tmp_path / "f.png"
     with pytest.raises(InputError, match="known are axial_stress"):
         write_maps(result(), path, ["strain"])
     with pytest.raises(InputError, match="lowest and highest"):
         write_maps(result(), path, limits=(1.0, 0.0))
+    with pytest.raises(InputError, match="limits: the maps are in kPa and mm"):
+        write_maps(result(), path, ["axial_stress", "loaded_thickness"], limits=(-5.0, 0.0))
     with pytest.raises(InputError, match="did you mean viridis"):
         write_maps(result(), path, colours="virids")
     with pytest.raises(InputError, match="'single', 'double'"):

@@ -70,6 +70,7 @@ SPACED = "spacing = { z = 0.0029, y = 0.03, x = 0.03 }"
         ),
         ("[0.2, 0.2, 0.1]", "[0.2, 0.2, 0.7]", ["element size along z, 0.7 mm", "depth"]),
         ("[0.2, 0.2, 0.1]", "125", ["element size", "in mm"]),
+        ("[0.2, 0.2, 0.1]", "1e-5", ["[grid]", "would be at least", "beyond any memory"]),
         ("threads = 1", "imprint_smoothing = 62.5", ["imprint_smoothing = 62.5", "in mm"]),
         (
             "sample = 0.05",
@@ -101,6 +102,7 @@ def test_a_study_of_volumes_is_refused_before_they_are_worked_on(here, old, new,
         ("[0.03, 0.03]", "[30.0, 30.0]", "field of view"),
         ("[0.2, 0.2, 0.1]", "30", "element size"),
         ("[0.2, 0.2, 0.1]", "[0.2, 0.2, 0.45]", "along z, 0.45 mm, is larger than"),
+        ("[0.2, 0.2, 0.1]", "[0.2, 0.2, 1e-9]", r"would be \d.* in all, beyond any memory"),
     ],
 )
 def test_a_study_of_maps(here, old, new, words):

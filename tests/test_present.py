@@ -291,6 +291,19 @@ def test_panel_is_drawn(tmp_path, build, suffix):
         assert path.stat().st_size > 10_000
 
 
+def test_a_result_of_the_computational_method_alone_is_shown(tmp_path):
+    """As the truth of a virtual experiment is."""
+    result = StressResult(example().maps.drop_vars("algebraic_axial_stress"))
+    with new_figure() as figure:
+        draw_panel(result.maps, figure)
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert "Axial stress, computational (kPa)" in titles
+    assert not any("algebraic" in title for title in titles)
+    write_panel(result, tmp_path / "out.png")
+    assert "computational" in result._repr_html_()
+    assert "algebraic" not in summarise(result)
+
+
 def test_both_methods_share_one_colour_scale():
     with new_figure() as figure:
         draw_panel(example().maps, figure)

@@ -323,6 +323,7 @@ def test_masks_that_programs_show_differently_are_refused(tmp_path):
         ("a.zip", b"PK nothing", "a.zip"),
         ("a.csv", b"x,y\n1,2\n", "name, x_mm, y_mm"),
         ("a.csv", b"", "a.csv"),
+        ("a.csv", b"name,x_mm,y_mm\na,1,2\na,3,4\n", "a.csv: region 'a', .*, not 2 of them"),
         ("a.npy", b"\x93NUMPY", "a.npy"),
         ("a.txt", b"", "regions are read from"),
     ],
@@ -452,6 +453,20 @@ def test_results_that_cannot_be_compared():
         compare_results({"a": first, "b": xr.Dataset()})
     with pytest.raises(InputError, match="to register by"):
         compare_results({"a": first, "b": first}, register=True)
+    states = first.assign(contact_state=(first["axial_stress"] < -1).astype(np.int8))
+    with pytest.raises(InputError, match="contact_state: holds states"):
+        compare_results({"a": states, "b": states}, "contact_state")
+
+
+@pytest.mark.parametrize(
+    ("attrs", "words"), [({}, "0 ("), ({"units": "1"}, "0 ("), ({"units": "kPa"}, "0 kPa (")]
+)
+def test_a_comparison_says_the_unit_where_there_is_one(attrs, words):
+    maps = maps_of(bumps)
+    maps["axial_stress"].attrs = attrs
+    text = comparison_in_words(compare_results({"a": maps, "b": maps}))
+    assert f"rms difference {words}" in text
+    assert "  " not in text.splitlines()[1].strip()
 
 
 def test_the_error_of_a_modulus_is_a_share_of_it():

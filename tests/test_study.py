@@ -355,7 +355,15 @@ def test_a_record_cannot_make_it_remove_files_elsewhere(done, run):
 def test_thickness_of_a_volume_and_the_stress_of_it(here, run):
     """The first half by hand gives what the study gives."""
     for side in ("unloaded", "loaded"):
-        command = ["thickness", f"{side}.npy", *READING, "--output", f"{side}.nc"]
+        command = [
+            "thickness",
+            f"{side}.npy",
+            *READING,
+            "--window",
+            "LINE",
+            "--output",
+            f"{side}.nc",
+        ]
         status, out, err = run(*command, "--plot", f"{side}.png")
         assert status == 0
         assert "boundaries: 100%" in err

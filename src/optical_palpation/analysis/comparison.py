@@ -141,6 +141,11 @@ def compare_results(
     for name, maps in results.items():
         if variable not in maps:
             raise InputError(f"{name}: has no map {variable!r}")
+        if maps[variable].dtype.kind != "f":
+            raise InputError(
+                f"{variable}: holds states or flags, which have no difference; choose a map with a "
+                "unit, such as axial_stress"
+            )
     (first, reference), *others = results.items()
     base = check_map(reference[variable], first)
     shown, parts, shifts, errors, within = [base.drop_attrs()], [], [], [], []

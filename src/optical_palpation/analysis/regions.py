@@ -76,10 +76,12 @@ class Region:
             outline = np.asarray(vertices, dtype=np.float64)
         except (TypeError, ValueError):
             outline = np.empty(0)
-        if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 3:
+        pairs = outline.ndim == 2 and outline.shape[1] == 2
+        if not pairs or len(outline) < 3:
+            found = f"{len(outline)} of them" if pairs else in_words(vertices)
             raise InputError(
                 f"region {name!r}, vertices: a polygon needs at least three vertices (x, y) in "
-                f"mm, not {in_words(vertices)}"
+                f"mm, not {found}"
             )
         if not np.isfinite(outline).all():
             raise InputError(f"region {name!r}: a vertex is not finite")

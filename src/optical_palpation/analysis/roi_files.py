@@ -88,8 +88,9 @@ def read_regions(path: str | os.PathLike[str], like: xr.DataArray | xr.Dataset) 
         raise InputError(f"{path}: regions are read from {_ENDINGS}")
     try:
         regions = reader(path, content, field)
-    except InputError:
-        raise
+    except InputError as error:
+        named = str(error).startswith(str(path))
+        raise error if named else InputError(f"{path}: {error}") from None
     except Exception as error:  # whatever a library makes of damaged data
         raise InputError(f"{path}: is damaged, or no file of regions ({error})") from error
     if not regions:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -63,10 +64,10 @@ def batch(
             f"{len(done.outcomes) - len(done.failed)} of {len(asked.scans)} scans done"
             + (f", {earlier} of them by an earlier run" if earlier else "")
         )
-        for outcome in done.failed:
-            print(f"failed: {outcome.name}: {outcome.message}")
         for path in done.files:
             print(path)
+    for outcome in done.failed:
+        print(f"failed: {outcome.name}: {outcome.message}", file=sys.stderr)
     if done.failed:
         raise typer.Exit(1)
 

@@ -94,9 +94,15 @@ def figure(
             regions=read_regions(regions, read_one.maps) if regions else (),
         )
     else:
-        chosen = (columns, limits, colours, regions)
-        if scale_bar or any(value is not None for value in chosen):
-            raise typer.BadParameter("these options are for maps: name them with --map")
+        chosen = {
+            "--columns": columns,
+            "--limits": limits,
+            "--colours": colours,
+            "--scale-bar": scale_bar or None,
+            "--regions": regions,
+        }
+        if given := [option for option, value in chosen.items() if value is not None]:
+            raise typer.BadParameter(f"{', '.join(given)}: only of maps, which --map names")
         present.write_panel(read_one, output, width=size)  # type: ignore[arg-type]
     if not quiet:
         print(f"picture: {output}")

@@ -70,7 +70,7 @@ def thickness(
     ] = None,
     window: Annotated[
         str,
-        typer.Option(metavar="LINE|FALL|RISE|MM", help="How the window side shows, or its depth."),
+        typer.Option(metavar="line|fall|rise|MM", help="How the window side shows, or its depth."),
     ] = "line",
     sample: Annotated[Edge, typer.Option(help="How the sample side shows.")] = Edge.RISE,
     window_range: Annotated[
@@ -142,4 +142,4 @@ def _number(window: str) -> str | float:
     try:
         return float(window)
     except ValueError:
-        return window
+        return window.lower()

@@ -36,7 +36,7 @@ from optical_palpation.palpation.meshing import (
     layer_problem,
 )
 from optical_palpation.palpation.motion import match_sample_motion
-from optical_palpation.palpation.plausibility import check_elements, unusual
+from optical_palpation.palpation.plausibility import check_count, check_elements, unusual
 from optical_palpation.palpation.progress import Iterations, Progress
 from optical_palpation.palpation.result import Status, StressResult
 from optical_palpation.palpation.sensitivity import changes, sensitivities
@@ -44,9 +44,6 @@ from optical_palpation.palpation.surface import axial_stress_map, deformed_layer
 from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
-
-#: More elements than any machine holds; their layout alone would take minutes.
-MOST_ELEMENTS = 1e8
 
 
 @explained
@@ -361,12 +358,7 @@ def element_sizes(
     x, y, z = (float(v) for v in np.broadcast_to(values, 3))
     x0, x1, y0, y1 = layer_extent_of(loaded)
     check_elements((x, y, z), (x1 - x0, y1 - y0), thickness, "the thickness of the layer")
-    elements = (x1 - x0) / x * (y1 - y0) / y * thickness / z
-    if elements > MOST_ELEMENTS:
-        raise InputError(
-            f"elements of {x:g} x {y:g} x {z:g} mm would be {elements:.1e} in all, beyond any "
-            "memory; give a larger element_size (it is in mm)"
-        )
+    check_count((x, y, z), (x1 - x0, y1 - y0), thickness)
     return x, y, z
 
 

@@ -26,6 +26,8 @@ SOFT_LAYER = 0.1
 LARGEST_MEAN_STRESS = 1e3
 #: Widest field and thickest layer, mm: an ultrasound array sees 60 mm by 40 mm.
 WIDEST_FIELD, THICKEST_LAYER = 500.0, 100.0
+#: More elements than any machine holds; their layout alone would take minutes.
+MOST_ELEMENTS = 1e8
 #: Hydrostatic tension, in Young's moduli, at which bonded rubber tears open from within (Gent and
 #: Lindley, Proc. R. Soc. A 249:195, 1959).
 CAVITATION = 5 / 6
@@ -102,6 +104,34 @@ def check_elements(
                 f"the element size along {axis}, {value:g} mm, is larger than {of}, {limit:g} mm; "
                 "give a smaller one (it is in mm)"
             )
+
+
+def check_count(
+    size: float | Sequence[float], field: tuple[float, float], thickness: float | None
+) -> None:
+    """Refuse elements (mm) that are too many for any memory.
+
+    Parameters
+    ----------
+    size, field
+        As for :func:`check_elements`.
+    thickness
+        Of the layer; where it is not known yet there is one element across it, at least.
+
+    Raises
+    ------
+    InputError
+        With their number.
+    """
+    x, y, z = (float(v) for v in np.broadcast_to(np.atleast_1d(size), 3))
+    across = 1.0 if thickness is None else thickness / z
+    count = field[0] / x * field[1] / y * across
+    if count > MOST_ELEMENTS:
+        least = "at least " if thickness is None else ""
+        raise InputError(
+            f"elements of {x:g} x {y:g} x {z:g} mm would be {least}{count:.1e} in all, beyond any "
+            "memory; give a larger element_size (it is in mm)"
+        )
 
 
 def check_stress(algebraic: xr.DataArray) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.arguments import check_instance, in_words
+from optical_palpation.arguments import check_instance, explained, in_words
 from optical_palpation.errors import InputError
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 
@@ -149,8 +149,9 @@ class StressResult:
         """
         from optical_palpation.present.figure import plot_map
 
-        return plot_map(self.maps, name, ax, **options)
+        return plot_map(self, name, ax, **options)
 
+    @explained
     def profile(
         self, line: str | Sequence[Sequence[float]] = "x", width: float = 0.0
     ) -> xr.Dataset:
@@ -193,6 +194,7 @@ class StressResult:
             ) from None
         return line_profile(self.maps, start, end, width)
 
+    @explained
     def regions(
         self,
         regions: Region | Sequence[Region] | str | os.PathLike[str],
@@ -226,6 +228,7 @@ class StressResult:
             regions = [regions]
         return region_statistics(self.maps, regions, variable, background)
 
+    @explained
     def compare(
         self, other: StressResult, variable: str = "axial_stress", *, register: bool = False
     ) -> xr.Dataset:

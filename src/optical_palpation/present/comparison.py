@@ -71,16 +71,17 @@ def write_comparison_figure(comparison: xr.Dataset, path: str | Path) -> None:
 
 def comparison_in_words(comparison: xr.Dataset) -> str:
     """Return the differences in a line for each result."""
-    units = comparison["difference"].attrs.get("units", "")
+    units = comparison["difference"].attrs.get("units", "1")
+    units = "" if units == "1" else f" {units}"
     lines = [f"{comparison.attrs['variable']}, compared with {comparison.attrs['reference']}:"]
     for name in comparison["compared"].values:
         row = comparison.sel(compared=name)
         whole, inner = row.sel(zone="all"), row.sel(zone="interior")
         parts = [
-            f"rms difference {float(whole['rms']):.3g} {units} "
+            f"rms difference {float(whole['rms']):.3g}{units} "
             f"({percent(whole['relative_rms'])}; interior {percent(inner['relative_rms'])})",
-            f"mean {float(whole['bias']):+.3g} {units}",
-            f"largest {float(whole['largest']):.3g} {units}",
+            f"mean {float(whole['bias']):+.3g}{units}",
+            f"largest {float(whole['largest']):.3g}{units}",
         ]
         if "within_error" in row and np.isfinite(row["within_error"]):
             parts.append(f"{percent(row['within_error'])} of the map within the error")

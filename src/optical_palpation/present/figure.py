@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import difflib
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from optical_palpation.analysis import Region
 from optical_palpation.arguments import check_instance, in_words
@@ -19,7 +20,15 @@ from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic, provenance
 from optical_palpation.present.profiles import on_layer
-from optical_palpation.present.terms import STATES, Term, common_limits, is_map, percent, term
+from optical_palpation.present.terms import (
+    STATES,
+    Term,
+    common_limits,
+    in_percent,
+    is_map,
+    percent,
+    term,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,6 +42,8 @@ COLUMNS = {"single": 85.0, "double": 178.0}
 _MM = 1 / 25.4
 # Where the sides matter all over a map, hatching would only hide it.
 _ALL, _HATCH = 0.95, "#A0A0A0"
+# Room for the numbers of a colour bar, inches.
+_NUMBERS = 0.4
 _DPI = 300
 _STYLE: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
@@ -184,6 +195,7 @@ def draw_map(
     scale_bar: bool = False,
     colour_bar: bool = True,
     regions: Sequence[Region] = (),
+    frame: Mapping[str, tuple[float, float]] | None = None,
 ) -> ScalarMappable:
     """Draw a map, true to scale, with its name, unit and colour bar.
 
@@ -205,6 +217,8 @@ def draw_map(
         Whether to draw one.
     regions
         Regions of interest to outline.
+    frame
+        Limits of x and y, as from :func:`common_frame`; those of the map by default.
     """
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
@@ -231,6 +245,8 @@ def draw_map(
     mesh = axes.pcolormesh(field["x"], field["y"], values, **options)
     axes.set_title(what.label, loc="left")
     axes.set_aspect("equal")
+    if frame is not None:
+        axes.set(xlim=frame["x"], ylim=frame["y"])
     if scale_bar:
         axes.set(xticks=[], yticks=[])
         _scale_bar(axes, float(np.ptp(axes.get_xlim())))
@@ -252,8 +268,35 @@ def draw_map(
             ends = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}
             extend = ends[int(beyond[0]), int(beyond[1])]
             figure.colorbar(mesh, **beside, extend=extend, extendfrac=0.03)
-    _outline(axes, regions, field)
+    _outline(axes, regions)
     return mesh
+
+
+def finest(
+    maps: xr.Dataset, pixels: xr.Dataset | None, names: Iterable[str]
+) -> dict[str, xr.DataArray]:
+    """Maps by name, each on the pixels of the image where it is known on these."""
+    fine = xr.Dataset() if pixels is None else pixels
+    return {name: fine[name] if name in fine else maps[name] for name in names}
+
+
+def common_frame(fields: Collection[xr.DataArray]) -> dict[str, tuple[float, float]] | None:
+    """Limits of x and y (mm) of the plane that all maps cover; None where there is none.
+
+    Points of a coarse grid stand for more around them, and maps of two grids would else begin at
+    different places.
+    """
+    found = {}
+    for axis in ("x", "y"):
+        places = [np.sort(field[axis].values) for field in fields]
+        if min(map(len, places)) < 2:
+            return None
+        low = max(float(1.5 * at[0] - 0.5 * at[1]) for at in places)
+        high = min(float(1.5 * at[-1] - 0.5 * at[-2]) for at in places)
+        if not low < high:
+            return None
+        found[axis] = (low, high)
+    return found
 
 
 def _beside(axes: Axes) -> dict[str, Any]:
@@ -262,7 +305,12 @@ def _beside(axes: Axes) -> dict[str, Any]:
     A layout that knows nothing of what lies beside axes has to take the room from the axes.
     """
     if axes.figure.get_layout_engine() is None:
-        return {"ax": axes, "fraction": 0.05}
+        from mpl_toolkits.axes_grid1 import axes_size, make_axes_locatable
+
+        divider = make_axes_locatable(axes)
+        bar = divider.append_axes("right", "5%", 0.08)
+        divider.set_horizontal([*divider.get_horizontal(), axes_size.Fixed(_NUMBERS)])
+        return {"cax": bar}
     aspect = float(np.ptp(axes.get_ylim()) / np.ptp(axes.get_xlim()))
     width, height = 0.05 * np.clip(aspect, 0.6, 2.0), max(1.0, 0.25 / aspect)
     return {"cax": axes.inset_axes((1.04, (1.0 - height) / 2, width, height))}
@@ -327,22 +375,86 @@ def _scale_bar(axes: Axes, width: float) -> None:
     axes.add_artist(bar)
 
 
-def _outline(axes: Axes, regions: Sequence[Region], field: xr.DataArray) -> None:
+def _outline(axes: Axes, regions: Sequence[Region]) -> None:
+    """Draw the borders of regions, and their names."""
     from matplotlib.patheffects import withStroke
 
     halo = [withStroke(linewidth=2.2, foreground="black")]
+    centres = []
     for region in regions:
-        if region.outlines:
-            for outline in region.outlines:
-                closed = np.vstack([outline, outline[:1]])
-                axes.plot(*closed.T, color="white", lw=1.0, path_effects=halo)
-            x, y = map(float, np.concatenate(region.outlines).mean(0))
+        if region.mask is None:
+            lines = [np.vstack([outline, outline[:1]]) for outline in region.outlines]
+            # of the largest: one within it is a hole
+            centres.append(max(map(_centre, region.outlines), key=lambda found: found[0])[1])
         else:
-            weight = region.weights(field)
-            axes.contour(field["x"], field["y"], weight, [0.5], colors="white", linewidths=1.0)
-            x, y = (float((weight * field[axis]).sum() / weight.sum()) for axis in "xy")
-        plate = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
-        axes.text(x, y, region.name, ha="center", va="center", bbox=plate, clip_on=True)
+            lines = [_pixel_edges(region.mask, axes.get_xlim(), axes.get_ylim())]
+            inside = region.mask.where(region.mask >= 0.5, 0.0)
+            share = [float((inside * inside[axis]).sum() / inside.sum()) for axis in "xy"]
+            centres.append(np.array(share))
+        for line in lines:
+            axes.plot(*line.T, color="white", lw=1.0, path_effects=halo)
+    if regions:
+        _label(axes, [region.name for region in regions], centres)
+
+
+def _centre(polygon: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    """Area of a polygon and the centre of that."""
+    start = polygon[0]
+    a, b = polygon - start, np.roll(polygon, -1, axis=0) - start
+    twice = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    area = float(twice.sum()) / 2
+    middle = (a + b).T @ twice / (6 * area) if area else (polygon - start).mean(0)
+    return abs(area), start + middle
+
+
+def _pixel_edges(
+    mask: xr.DataArray, across: tuple[float, float], up: tuple[float, float]
+) -> NDArray[np.float64]:
+    """Border of the pixels of a mask as lines with gaps, (n, 2), within what is shown of it."""
+    mask = mask.transpose("y", "x").sortby(["y", "x"])
+    inside = np.pad(mask.values >= 0.5, 1)
+    edges = []
+    for axis, shown in (("x", across), ("y", up)):
+        at = mask[axis].values
+        half = (at[-1] - at[0]) / (at.size - 1) / 2 if at.size > 1 else np.ptp(shown) / 2
+        edges.append(np.clip(np.append(at - half, at[-1] + half), *shown))
+    x, y = edges
+    gap = (np.nan, np.nan)
+    rows, columns = np.nonzero(inside[1:, 1:-1] != inside[:-1, 1:-1])
+    lines = [((x[j], y[i]), (x[j + 1], y[i]), gap) for i, j in zip(rows, columns, strict=True)]
+    rows, columns = np.nonzero(inside[1:-1, 1:] != inside[1:-1, :-1])
+    lines += [((x[j], y[i]), (x[j], y[i + 1]), gap) for i, j in zip(rows, columns, strict=True)]
+    return np.array(lines, dtype=float).reshape(-1, 2)
+
+
+def _label(axes: Axes, names: Sequence[str], centres: Sequence[NDArray[np.float64]]) -> None:
+    """Write names at places (x, y), shortened to half of the map, and not on each other."""
+    figure: Any = axes.get_figure(root=True)
+    with warnings.catch_warnings():  # should there be no room, that is told when it is written
+        warnings.simplefilter("ignore", UserWarning)
+        figure.draw_without_rendering()  # places and sizes are known from then on
+    whole = axes.get_window_extent()
+    taken: list[Any] = []
+    rim = 0.05 * whole.width  # by which later maps of the figure may narrow this one
+    plate = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
+    for name, centre in zip(names, centres, strict=True):
+        text = axes.text(
+            centre[0], centre[1], name, ha="center", va="center", bbox=plate, clip_on=True
+        )
+        box = text.get_window_extent()
+        if box.width > 0.5 * whole.width:
+            kept = max(int(0.5 * len(name) * whole.width / box.width), 3)
+            text.set_text(f"{name[: kept - kept // 2]}…{name[len(name) - kept // 2 :]}")
+            box = text.get_window_extent()
+        aside = np.clip(0.0, whole.x0 + rim - box.x0, whole.x1 - rim - box.x1)
+        steps = [1.3 * box.height * k for n in range(len(taken) + 1) for k in (n, -n)]
+        moved = [box.translated(aside, up) for up in steps]
+        free = [b for b in moved if not any(b.overlaps(other) for other in taken)]
+        box = next((b for b in free if whole.y0 <= b.y0 and b.y1 <= whole.y1), moved[0])
+        taken.append(box)
+        middle = ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2)
+        x, y = axes.transData.inverted().transform(middle)
+        text.set_position((x, y))
 
 
 def letter(panels: Sequence[Axes]) -> None:
@@ -376,7 +488,8 @@ def write_maps(
     """Write maps of a result as a figure for a paper (PNG, PDF or SVG by the name's ending).
 
     All maps have the same axes; those of one kind, such as stress by both methods, share their
-    colour limits. Names of quantities and units are in words.
+    colour limits. Thickness and algebraic stress have the resolution of the image, not that of the
+    elements. Names of quantities and units are in words.
 
     Parameters
     ----------
@@ -391,7 +504,8 @@ def write_maps(
     columns
         Maps beside each other; by default one in a single column, three in a double one.
     limits
-        Colour limits of all maps, or by name; those of a name hold for its whole kind.
+        Colour limits of all maps, which then have one unit; or by name, and those of a name hold
+        for its whole kind.
     colours
         A colour map instead of those of each quantity.
     scale_bar
@@ -408,17 +522,31 @@ def write_maps(
     OutputError
         If the file cannot be written.
     """
+    pixels = result.pixels if isinstance(result, StressResult) else None
     maps = result.maps if isinstance(result, StressResult) else result
     check_instance(maps, xr.Dataset, "result", "a StressResult, or a Dataset of maps")
+    kind = "that of a map, such as 'axial_stress', or a list of these"
+    check_instance(names, (str, Sequence), "names", kind)
     names = [names] if isinstance(names, str) else names
     for region in regions:
         check_instance(region, Region, "regions", "a list of Region (op.read_regions)")
     if "loaded_thickness" in maps:
-        maps = on_layer(maps)
+        maps, pixels = on_layer(maps), None if pixels is None else on_layer(pixels)
+    maps = in_percent(maps)
     if not names:
         raise InputError("names: give at least one map")
     terms = {name: _known_term(maps, name) for name in names}
-    by_scale = _limits(maps, terms, limits)
+    if limits is not None and not isinstance(limits, Mapping):
+        units = {what.units for what in terms.values() if what.has_limits}
+        if len(units) > 1:
+            said = " and ".join(sorted(unit or "numbers without a unit" for unit in units))
+            raise InputError(
+                f"limits: the maps are in {said}, and one pair of limits is for one unit; draw "
+                "figures of their own, or in Python give limits by map, {'axial_stress': (-5, 0)}"
+            )
+    fields = finest(maps, pixels, terms)
+    by_scale = _limits(fields, terms, limits)
+    frame = common_frame(fields.values())
     across = columns or (1 if width_in_mm(width) < 120 else 3)
     across = min(across, len(names))
     down = -(-len(names) // across)
@@ -431,12 +559,13 @@ def write_maps(
         for axes, (name, what) in zip(panels, terms.items(), strict=False):
             draw_map(
                 axes,
-                maps[name],
+                fields[name],
                 what,
                 limits=by_scale.get(what.scale),
-                colours=colours if what.colours not in ("states", "flags") else None,
+                colours=colours if what.has_limits else None,
                 scale_bar=scale_bar,
                 regions=regions,
+                frame=frame,
             )
         for axes in panels[len(names) :]:
             axes.remove()
@@ -459,16 +588,16 @@ def _known_term(maps: xr.Dataset, name: str) -> Term:
 
 
 def _limits(
-    maps: xr.Dataset,
+    fields: Mapping[str, xr.DataArray],
     terms: Mapping[str, Term],
     given: Mapping[str, tuple[float, float]] | tuple[float, float] | None,
 ) -> dict[str, tuple[float, float]]:
     """Colour limits by scale."""
     found: dict[str, tuple[float, float]] = {}
     for what in terms.values():
-        if what.colours in ("states", "flags"):
+        if not what.has_limits:
             continue
-        same = {n: maps[n] for n, t in terms.items() if t.scale == what.scale}
+        same = {n: fields[n] for n, t in terms.items() if t.scale == what.scale}
         found[what.scale] = common_limits(same, what.colours)
         if isinstance(given, Mapping):
             chosen = [given[n] for n in same if n in given]
@@ -485,13 +614,12 @@ def _checked(limits: object) -> tuple[float, float]:
     except (TypeError, ValueError):
         low = high = np.nan
     if not (np.isfinite([low, high]).all() and low < high):
-        raise InputError(
-            f"limits: lowest and highest value, such as (-5, 0), not {in_words(limits)}"
-        )
+        found = in_words(limits) if np.isnan([low, high]).any() else f"{low:g} and {high:g}"
+        raise InputError(f"limits: lowest and highest value, such as -5 and 0, not {found}")
     return low, high
 
 
-def plot_map(maps: xr.Dataset, name: str, axes: Axes | None = None, **options: Any) -> Axes:
+def plot_map(result: StressResult, name: str, axes: Axes | None = None, **options: Any) -> Axes:
     """Draw one map of a result into axes, those of a new pyplot figure by default.
 
     `options` are those of :func:`draw_map`.
@@ -504,6 +632,7 @@ def plot_map(maps: xr.Dataset, name: str, axes: Axes | None = None, **options: A
     known = {"limits", "colours", "scale_bar", "colour_bar", "regions"}
     if unknown := set(options) - known:
         raise InputError(f"{', '.join(sorted(unknown))}: options are {', '.join(sorted(known))}")
+    maps = in_percent(result.maps)
     what = _known_term(maps, name)
     if axes is not None:
         from matplotlib.axes import Axes as Matplotlib
@@ -513,5 +642,6 @@ def plot_map(maps: xr.Dataset, name: str, axes: Axes | None = None, **options: A
         from matplotlib import pyplot
 
         axes = pyplot.figure(layout="constrained").subplots()
-    draw_map(axes, maps[name], what, **options)
+    (field,) = finest(maps, result.pixels, [name]).values()
+    draw_map(axes, field, what, **options)
     return axes

@@ -101,6 +101,8 @@ def read_result(path: str | Path) -> StressResult:
     InputError
         The file is missing, damaged or no NetCDF-4 file, or holds no stress result.
     """
+    import h5py
+
     path = file_path(path)
     if os.path.isdir(path):
         raise InputError(f"{path}: is a folder; a result is a file in it, such as stress.nc")
@@ -114,7 +116,7 @@ def read_result(path: str | Path) -> StressResult:
             inside = {
                 name
                 for name in ("layer", "pixels", "sensitivities", "series", *GROUPS)
-                if name in file
+                if file.get(name, getclass=True) is h5py.Group  # and no map of that name
             }
         maps = xr.load_dataset(path, engine="h5netcdf", decode_times=False)
         groups = {
@@ -125,6 +127,11 @@ def read_result(path: str | Path) -> StressResult:
         raise
     except Exception as error:  # whatever the libraries make of damaged data
         raise InputError(f"{path}: is a damaged result ({error})") from error
+    if "compared" in maps.dims:
+        raise InputError(
+            f"{path}: holds a comparison of results and no result; 'optical-palpation compare' "
+            "draws one with --plot"
+        )
     if "axial_stress" not in maps:
         found = ", ".join(map(str, maps.data_vars)) or "nothing"
         raise InputError(f"{path}: holds no stress result (no variable axial_stress, but {found})")

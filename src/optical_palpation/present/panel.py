@@ -12,13 +12,16 @@ from optical_palpation.errors import InputError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.figure import (
     Width,
+    common_frame,
     draw_map,
     figure_file,
+    finest,
     hatch_edges,
     letter,
     width_in_mm,
 )
 from optical_palpation.present.profiles import centre_profiles, on_layer
+from optical_palpation.present.summary import methods_in
 from optical_palpation.present.terms import ALGEBRAIC, COMPUTATIONAL, common_limits, term
 
 if TYPE_CHECKING:
@@ -95,24 +98,26 @@ def draw_panel(maps: xr.Dataset, figure: Figure, pixels: xr.Dataset | None = Non
     maps = on_layer(maps)
     fine = maps if pixels is None else on_layer(pixels)
     computational = "contact_pressure" in maps  # the algebraic method alone has none
-    methods = {"algebraic": "algebraic_axial_stress", "computational": "axial_stress"}
-    if not computational:
-        methods = {"algebraic": "axial_stress"}
+    methods = methods_in(maps)
     shown = ["loaded_thickness", *methods.values(), *(["contact_state"] if computational else [])]
-    fields = {name: fine[name] if name in fine else maps[name] for name in shown}
-    if not computational:
-        fields["axial_stress"] = maps["axial_stress"]
+    fields = finest(maps, fine, shown)
     stress = common_limits({n: fields[n] for n in methods.values()}, "")
     places, rows = ("TACS", ["TTAACC", "SSXXYY"]) if computational else ("TA", ["TA", "XY"])
+    if "algebraic" not in methods:  # as in the truth of a virtual experiment
+        places, rows = "TCS", ["TTCCSS", "XXXYYY"]
     if _has_stiffness(maps):
-        places, rows = "TACSME", ["TTAACC", "MMEESS", "XXXYYY"]
+        places, rows = f"{places}ME", ["TTAACC", "MMEESS", "XXXYYY"]
+        if "algebraic" not in methods:
+            rows[:2] = "TTCCSS", "MMMEEE"
         for name in ("sample_youngs_modulus", "axial_stress_error"):
             shown.append(name)
             fields[name] = maps[name]
+    frame = common_frame(fields.values())
     axes = figure.subplot_mosaic([list(row) for row in rows])
     for place, name in zip(places, shown, strict=True):
         what = term(maps, name)
-        draw_map(axes[place], fields[name], what, limits=stress if what.scale == "stress" else None)
+        limits = stress if what.scale == "stress" else None
+        draw_map(axes[place], fields[name], what, limits=limits, frame=frame)
     if computational:
         hatch_edges(axes["C"], maps)
     axes["Y"].sharey(axes["X"])

@@ -95,12 +95,18 @@ def mean_stress_error(maps: xr.Dataset) -> float | None:
 METHODS = {"algebraic": "algebraic_axial_stress", "computational": "axial_stress"}
 
 
+def methods_in(maps: xr.Dataset) -> dict[str, str]:
+    """Name of the axial stress by each method that the maps hold."""
+    # The algebraic method alone fills both variables with the same, and has no contact pressure.
+    if "contact_pressure" not in maps:
+        return {"algebraic": "axial_stress"}
+    return {method: name for method, name in METHODS.items() if name in maps}
+
+
 def methods(result: StressResult) -> dict[str, xr.DataArray]:
     """Axial stress, kPa, by each method that the result has; the algebraic one of each pixel."""
     maps = on_layer(result.maps)
-    # The algebraic method alone fills both variables with the same, and has no contact pressure.
-    names = METHODS if "contact_pressure" in maps else {"algebraic": "axial_stress"}
-    fields = {method: maps[name] for method, name in names.items()}
+    fields = {method: maps[name] for method, name in methods_in(maps).items()}
     if result.pixels is not None and len(fields) > 1:
         fields["algebraic"] = on_layer(result.pixels)[METHODS["algebraic"]]
     return fields

@@ -23,6 +23,8 @@ STATES = {"open": "#DDDDDD", "slip": "#E69F00", "stick": "#0072B2", "glued": "#0
 STATE_NUMBERS = ", ".join(f"{int(state)} {state.name.lower()}" for state in ContactState)
 
 _LEAST_PERCENT = 0.001
+# Maps that hold a fraction of something.
+_FRACTIONS = {"edge_influence", "sample_modulus_error"}
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,11 @@ class Term:
     def label(self) -> str:
         """Words and unit."""
         return f"{self.words} ({self.units})" if self.units else self.words
+
+    @property
+    def has_limits(self) -> bool:
+        """Whether its colours run from a lowest to a highest value."""
+        return self.colours not in ("states", "flags")
 
 
 _TERMS = {
@@ -102,6 +109,15 @@ def term(maps: xr.Dataset, name: str) -> Term:
     if "difference" in name or (values.size and values.min() < 0 < values.max()):
         return Term(words, units, DIFFERENCE, name)
     return Term(words, units, ERROR, name)
+
+
+def in_percent(maps: xr.Dataset) -> xr.Dataset:
+    """Return maps as figures show them: fractions in percent, whose unit cannot be mistaken."""
+    shown = maps.copy()
+    for name in _FRACTIONS & set(maps):
+        if maps[name].attrs.get("units", "1") in ("", "1"):
+            shown[name] = (100 * maps[name]).assign_attrs(maps[name].attrs | {"units": "%"})
+    return shown
 
 
 def is_map(field: xr.DataArray) -> bool:

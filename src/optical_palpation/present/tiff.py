@@ -43,7 +43,7 @@ def write_tiff(result: StressResult, path: str | Path, names: Sequence[str] | No
     maps = result.maps.sortby(["y", "x"])
     known = [str(name) for name, field in maps.data_vars.items() if is_map(field)]
     if names is None:
-        names = [n for n in known if term(maps, n).colours not in ("states", "flags")]
+        names = [n for n in known if term(maps, n).has_limits]
     if absent := [name for name in names if name not in known]:
         raise InputError(f"there is no map {absent[0]!r}; known are {', '.join(known)}")
     steps = {}

@@ -10,6 +10,7 @@ import numpy as np
 from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.palpation.meshing import SLIP_LENGTHS
 from optical_palpation.palpation.plausibility import (
+    check_count,
     check_depth,
     check_elements,
     check_field,
@@ -73,6 +74,7 @@ def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
     if study.grid.element_size is not None:
         try:
             check_elements(study.grid.element_size, (x1 - x0, y1 - y0), depth, what)
+            check_count(study.grid.element_size, (x1 - x0, y1 - y0), _unloaded(study))
         except InputError as error:
             raise InputError(f"{where}, [grid]: {error}") from error
     try:
@@ -128,6 +130,15 @@ def _field_of_map(study: Study, source: MapInput) -> tuple[float, float, float, 
 
 def _thickest(study: Study, source: MapInput) -> float:
     return float(np.nanmax(_read(study, source).values))
+
+
+def _unloaded(study: Study) -> float | None:
+    """Thickness of the unloaded layer; None where it has to be found in a volume first."""
+    if isinstance(study.unloaded, NumberInput):
+        return study.unloaded.thickness
+    if isinstance(study.unloaded, MapInput):
+        return float(np.nanmedian(_read(study, study.unloaded).values))
+    return None
 
 
 def _read(study: Study, source: MapInput) -> Any:

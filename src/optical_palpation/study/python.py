@@ -187,6 +187,7 @@ class Study:
         """All parameters with their defaults, by table."""
         return self._checked.model_dump(mode="json", exclude_none=True)
 
+    @explained
     def run(self, progress: Tell | None = None) -> StressResult:
         """Compute the stress.
 
@@ -209,6 +210,7 @@ class Study:
         with self._naming_arguments():
             return run_study(self._runnable(), progress=progress).stress()
 
+    @explained
     def thickness(self, progress: Tell | None = None) -> xr.Dataset:
         """Find the layer and return its thickness, before any mechanics.
 
@@ -340,7 +342,11 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
             )
         whole = dict(value)
         for key in _PATHS:
-            if isinstance(whole.get(key), str | os.PathLike):
+            if whole.get(key) is not None:
+                kind = "the name of a file"
+                if isinstance(whole[key], xr.DataArray | np.ndarray):
+                    kind += f"; a map in memory is given as {name}=thickness_map(...) itself"
+                check_instance(whole[key], (str, os.PathLike), f"{name}.{key}", kind)
                 whole[key] = str((folder / whole[key]).resolve())
         return whole
     if name == "material" and isinstance(value, Law):

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from optical_palpation.arguments import check_instance
+from optical_palpation.arguments import check_instance, in_words
 from optical_palpation.errors import InputError, MaterialError, OutputError
 from optical_palpation.files import replacing
 from optical_palpation.palpation.input_errors import OF_SAMPLE
@@ -197,7 +197,9 @@ def as_toml(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
-    return "nothing" if value is None else str(value)
+    if value is None:
+        return "nothing"
+    return str(value) if isinstance(value, int | float) else in_words(value)
 
 
 def make_study(given: Mapping[str, Any], file: Path) -> Study:
@@ -390,9 +392,8 @@ def _problems(error: ValidationError, given: Mapping[str, Any]) -> Iterator[str]
         elif problem["type"] in ("model_type", "dict_type", "model_attributes_type"):
             yield f"{key} = {as_toml(problem['input'])}: must be a table{_hint(keys)}"
         else:
-            text = _WORDS.get(problem["type"]) or re.sub(
-                "(Input|Value) should be ", "", problem["msg"]
-            )
+            text = _length(problem, error) or _WORDS.get(problem["type"])
+            text = text or re.sub("(Input|Value) should be ", "", problem["msg"])
             texts = wrong.setdefault(f"{key} = {as_toml(_value(given, keys))}{_hint(keys)}", [])
             texts.append(text)
     for start, texts in wrong.items():
@@ -409,9 +410,18 @@ def _value(given: Any, keys: list[str]) -> Any:
     return given
 
 
+def _length(problem: Any, error: ValidationError) -> str:
+    """Say how long an array must be, where that is the problem; else ""."""
+    if problem["type"] == "too_long":
+        return f"an array of {problem['ctx']['max_length']}"
+    if problem["type"] != "missing":
+        return ""
+    *array, _ = problem["loc"]
+    absent = [e["loc"] for e in error.errors(include_url=False) if e["type"] == "missing"]
+    return f"an array of {1 + max(int(last) for *of, last in absent if of == array)}"
+
+
 _WORDS = {
-    "missing": "an array of the right length",
-    "too_long": "an array of the right length",
     "tuple_type": "an array",
     "bool_type": "true or false",
     "float_type": "a number",

@@ -253,7 +253,8 @@ def chosen(path: Path, contents: Contents, name: str | None) -> Variable:
             return _described(path, contents, found[0])
         if found:
             raise InputError(
-                f"{path}: holds several arrays; choose one with variable=: {', '.join(found[:20])}"
+                f"{path}: holds several arrays; choose one by variable (on the command line "
+                f"--variable): {', '.join(found[:20])}"
             )
     if len(variables) == 1:
         return next(iter(variables.values()))
