@@ -323,6 +323,88 @@ def test_boundaries_lie_on_the_image(page, zoom):
         assert bright[columns] == pytest.approx(rows, abs=0.6 * len(image) * DZ / (high - low))
 
 
+def labelled(host):
+    """Range in mm of a plot's frame along x and y, from the numbers at its axes."""
+    ranges = []
+    for axis in (0, 1):
+        texts = host.locator("svg text").evaluate_all(
+            """(t, axis) => t.filter((e) => !e.getAttribute("transform"))
+                .filter((e) => (e.getAttribute("text-anchor") === "end") === Boolean(axis))
+                .map((e) => [e.textContent, Number(e.getAttribute(axis ? "y" : "x"))])""",
+            axis,
+        )
+        found = [
+            (float(t.replace("\u2212", "-")), at - 4 * axis)
+            for t, at in texts
+            if re.fullmatch("[\u2212\\d.e-]+", t)
+        ]
+        rect = host.locator("svg rect.frame")
+        start, size = (
+            float(rect.get_attribute(name)) for name in ("xy"[axis], ("width", "height")[axis])
+        )
+        slope, first = np.polyfit([at for _, at in found], [v for v, _ in found], 1)
+        ranges.append((first + slope * start, first + slope * (start + size)))
+    return ranges
+
+
+def test_a_boundary_can_be_enlarged_in_both_directions_and_the_picture_moved(page):
+    go_to_slice(page, 20)
+    host, found = scan(page, "loaded"), LAYERS["loaded"]
+    whole = labelled(host)
+    x = 0.4
+    top = float(found["window_depth"].sel(x=x, method="nearest")[20])
+    # Point at the window, so that it is what is enlarged.
+    (left, right), (low, high) = whole
+    click(page, host, (x - left) / (right - left), 1 - (top - 0.02 - low) / (high - low))
+    page.locator("#magnify").fill("8")
+    settle(page)
+    part = labelled(host)
+    for axis, (was, now) in enumerate(zip(whole, part, strict=True)):
+        assert now[1] - now[0] == pytest.approx((was[1] - was[0]) / 8, rel=0.02)
+        assert np.mean(now) == pytest.approx((x, top)[axis], abs=0.01)
+    # The line lies where the picture is brightest, to a tenth of a pixel of the volume or so.
+    image = grey(host)
+    _, y = points(host, "boundary.window").T
+    rect = host.locator("svg rect.frame")
+    row = (y.mean() - float(rect.get_attribute("y"))) / float(rect.get_attribute("height"))
+    bright = np.argmax(image.mean(1)) / len(image)
+    assert abs(bright - row) * (part[1][1] - part[1][0]) < DZ
+    # A drag moves the picture, not the cursor; so does the wheel, until the end is reached.
+    before = place(page)
+    _, _, wide, tall = frame(page, host)
+    start = [a + b / 2 for a, b in zip(frame(page, host)[:2], (wide, tall), strict=True)]
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(start[0] + 0.2 * wide, start[1] - 0.3 * tall, steps=4)
+    page.mouse.up()
+    settle(page)
+    moved = labelled(host)
+    assert place(page) == before
+    for (was, now), share in zip(zip(part, moved, strict=True), (-0.2, 0.3), strict=True):
+        assert now[0] - was[0] == pytest.approx(
+            share * (was[1] - was[0]), abs=0.1 * (was[1] - was[0])
+        )
+    scrolled = page.evaluate("() => scrollY")
+    page.mouse.wheel(0, 0.5 * tall)
+    page.wait_for_timeout(100)
+    lower = labelled(host)[1]
+    assert lower[0] - moved[1][0] == pytest.approx(0.5 * (lower[1] - lower[0]), rel=0.05)
+    assert page.evaluate("() => scrollY") == scrolled
+    host.focus()
+    page.keyboard.press("PageUp")
+    settle(page)
+    assert lower[0] - labelled(host)[1][0] == pytest.approx(0.25 * (lower[1] - lower[0]), rel=0.05)
+    # A click moves the cursor, and what is enlarged with it.
+    click(page, host, 0.9, 0.5)
+    assert place(page)[0] == pytest.approx(
+        moved[0][0] + 0.9 * (moved[0][1] - moved[0][0]), abs=2e-3
+    )
+    assert np.mean(labelled(host)[0]) == pytest.approx(place(page)[0], abs=2e-3)
+    page.locator("#magnify").fill("1")
+    settle(page)
+    assert np.ravel(labelled(host)) == pytest.approx(np.ravel(whole))
+
+
 def depths(found):
     """Range of depth that zooming leaves: both layers and a margin of each, within the volume."""
     low, high = [], []

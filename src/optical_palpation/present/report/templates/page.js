@@ -91,6 +91,7 @@ function linkScans(scans) {
     label.textContent = `y ${millimetres(main.entry.y[index])}`;
     slider.setAttribute("aria-valuetext", `B-scan ${main.output.textContent}`);
   });
+  zoomed.addEventListener("input", () => scans.forEach((plot) => (plot.dragged = null)));
   for (const input of [boundaries, zoomed, magnified]) {
     input.addEventListener("input", () => scans.forEach((plot) => plot.redraw()));
   }
