@@ -1239,6 +1239,54 @@ def test_further_maps_error_bands_differences_and_regions(show, tmp_path):
     assert page.evaluate("() => window.broken") is None
 
 
+def test_a_comparison_shows_the_other_map_the_error_and_a_table(show, tmp_path):
+    result = annotated()
+    stress, error = result.maps["axial_stress"], result.maps["axial_stress_error"]
+    offset = xr.where(stress.x > 0.3, 3.0, 0.1)
+    changed = result.maps.assign(axial_stress=stress + offset).assign_attrs(
+        sample_force_mN=40.0, force_error_mN=2.0
+    )
+    changed["axial_stress_error"] = error.fillna(0.0) * 0 + 0.3
+    page = show(write(tmp_path / "two.html", result, others={"second": StressResult(changed)}))
+    page.locator("#cursor-x").fill("0.85")
+    page.keyboard.press("Enter")
+    page.locator("#cursor-y").fill("2.1")
+    page.keyboard.press("Enter")
+    page.mouse.move(1, 1)
+    here = stress.sel(x=0.85, y=2.1, method="nearest")
+    known = np.hypot(0.1 * abs(here), 0.3)
+    for key, value in (
+        ("other-0", here + 3.0),
+        ("difference-0", 3.0),
+        ("difference-0-error", known),
+    ):
+        choose(page, key)
+        assert number(stage_text(page).split(": ")[1]) == pytest.approx(float(value), rel=3e-3)
+    assert page.locator("[data-map='other-0']").count() == 1
+    # one scale for both maps of stress
+    ends = [
+        page.locator(f"[data-map='{name}'] .colours span").all_inner_texts()
+        for name in ("computational", "other-0")
+    ]
+    assert ends[0] == ends[1]
+    rows = page.locator("#comparison + .scroll tbody tr")
+    this, other = (rows.nth(k).locator("th, td").all_inner_texts() for k in (0, 1))
+    assert this[0] == "this"
+    assert this[-1] == "31.2"
+    there = np.isfinite(stress.values)
+    d = np.broadcast_to(offset.values, stress.shape)[there]
+    rms = np.sqrt(np.mean(d**2))
+    both = np.hypot(0.1 * stress.values[there], 0.3)
+    cells = [number(text.replace("\u00a0", "\u202f")) for text in other[1:6]]
+    assert cells[0] == pytest.approx(d.mean(), rel=5e-3)
+    assert cells[1] == pytest.approx(rms, rel=5e-3)
+    assert cells[2] == pytest.approx(100 * rms / np.sqrt(np.mean(stress.values[there] ** 2)), 2e-2)
+    assert cells[3] == pytest.approx(np.sqrt(np.mean(both**2)), rel=5e-2)
+    assert cells[4] == pytest.approx(100 * np.mean(d <= both), rel=2e-2)
+    assert other[0] == "second"
+    assert other[6].replace("\u00a0", " ") == "40.0 \u00b1 2.0"
+
+
 def test_a_link_goes_nowhere_but_beside(tmp_path):
     for name in ("../stress.nc", "/etc/passwd", "a/b.nc"):
         with pytest.raises(InputError, match="beside the report"):

@@ -32,6 +32,7 @@ from optical_palpation.present.summary import (
 from optical_palpation.present.tables import region_figure
 from optical_palpation.present.terms import (
     DIFFERENCE,
+    ERROR,
     LENGTH,
     QUALITY,
     STRESS,
@@ -53,12 +54,22 @@ def thicknesses(
     return {**found, "loaded": seen}
 
 
+def comparisons(
+    result: StressResult, others: Mapping[str, StressResult]
+) -> dict[str, xr.Dataset]:
+    """What :func:`compare_results` finds of each other result against this one, by name."""
+    return {
+        name: compare_results({"this": result.maps, "other": other.maps})
+        for name, other in others.items()
+    }
+
+
 def map_entries(
     result: StressResult,
     loaded: xr.Dataset | None,
     unloaded: xr.Dataset | None,
     projections: Mapping[str, xr.DataArray],
-    others: Mapping[str, StressResult],
+    compared: Mapping[str, xr.Dataset],
     regions: Sequence[Region],
 ) -> dict[str, Any]:
     """Maps, masks of interpolated pixels, colour scales and profiles for the page's data."""
@@ -103,16 +114,21 @@ def map_entries(
         mask = "loaded" if measured else of_stress
         show(method, title, "stress", field, group="stress", mask=mask, force=-1.0)
     scales["stress"] = {"colours": STRESS, "units": "kPa"}
-    for number, (name, other) in enumerate(others.items()):
-        found = compare_results({"this": result.maps, "other": other.maps})["difference"]
+    for number, (name, found) in enumerate(compared.items()):
+        other = found[found.attrs["variable"]].isel(result=1)
+        show(f"other-{number}", f"{name}: stress", "stress", other, group="stress", force=-1.0)
         show(
             f"difference-{number}",
             f"{name} less this",
             "difference",
-            found.isel(compared=0),
+            found["difference"].isel(compared=0),
             group="stress",
         )
         scales["difference"] = {"colours": DIFFERENCE, "units": "kPa"}
+        if "difference_error" in found:
+            error = found["difference_error"].isel(compared=0)
+            show(f"difference-{number}-error", f"Error of {name} less this", "error", error)
+            scales["error"] = {"colours": ERROR, "units": "kPa"}
     for name, side in {"contact_state": "sample", "window_contact_state": "window"}.items():
         if name in maps:
             show(name, f"Contact with the {side}", "contact", maps[name], group="stress")
@@ -274,6 +290,41 @@ _HEADINGS = {
     "difference": "Less background",
     "contrast": "Contrast",
 }
+
+
+def comparison_rows(
+    result: StressResult,
+    others: Mapping[str, StressResult],
+    compared: Mapping[str, xr.Dataset],
+) -> list[tuple[str, ...]]:
+    """Rows of a table of other results: differences of the stress, error of these, forces."""
+
+    def force(one: StressResult) -> str:
+        attrs = one.maps.attrs
+        if "sample_force_mN" not in attrs:  # the algebraic method has none
+            return ""
+        return rounded(attrs["sample_force_mN"], force_error(attrs))
+
+    rows: list[tuple[str, ...]] = [("this", "", "", "", "", "", force(result))] if others else []
+    for name, other in others.items():
+        found = compared[name].isel(compared=0)
+        whole = found.sel(zone="all")
+        error, within = "", ""
+        if "difference_error" in found:
+            error = rounded(np.sqrt((found["difference_error"] ** 2).mean()), digits=2)
+            within = percent(found["within_error"])
+        rows.append(
+            (
+                name,
+                rounded(whole["bias"]),
+                rounded(whole["rms"]),
+                percent(whole["relative_rms"]),
+                error,
+                within,
+                force(other),
+            )
+        )
+    return rows
 
 
 def force_rows(result: StressResult) -> list[tuple[str, str]]:
