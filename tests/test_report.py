@@ -682,7 +682,7 @@ def test_phone(show, study, width):
     size = page.evaluate("() => [document.documentElement.scrollWidth, innerWidth]")
     assert size == [width, width]
     wide = page.evaluate(
-        "() => [...document.querySelectorAll('main *:not(pre *)')]"
+        "() => [...document.querySelectorAll('main *:not(pre *):not(.warnings summary *)')]"
         ".filter((e) => e.getBoundingClientRect().right > innerWidth + 1).length"
     )
     assert wide == 0
@@ -1416,6 +1416,32 @@ def test_warnings_are_sentences_and_break_no_option(show, tmp_path):
     assert item.inner_text() == text[0].upper() + text[1:]
     assert item.locator(".whole").inner_text() == "--layer-extent"
     assert item.locator("i").count() == 0
+
+
+LONG = "the sides of the layer are free: " + "that changes what is near them, and " * 9 + "is all."
+
+
+@pytest.mark.parametrize("size", [(1300, 900), (390, 844)])
+def test_warnings_take_a_line_each_and_the_whole_map_is_on_the_first_screen(show, tmp_path, size):
+    touch = {"has_touch": True, "is_mobile": True} if size[0] < 500 else {}
+    path = write(tmp_path / "warned.html", stress_result(), warnings=[LONG, LONG + "!", "Short."])
+    page = show(path, *size, **touch)
+    items = page.locator("#warnings li")
+    heights = items.evaluate_all("(l) => l.map((e) => e.offsetHeight)")
+    assert max(heights) < 30
+    box = page.locator("#stage").bounding_box()
+    assert box["y"] + box["height"] <= size[1]
+    left, top, width, height = frame(page, page.locator("#stage-plot"))
+    assert height > 0.3 * size[1]
+    items.first.locator("summary").click()
+    assert items.first.evaluate("(e) => e.offsetHeight") > 2 * heights[0]
+    assert page.locator("#stage").bounding_box()["width"] == pytest.approx(box["width"], abs=1)
+    if size[0] > 1000:  # nothing stays folded on paper
+        items.first.locator("summary").click()
+        page.emulate_media(media="print")
+        inside = items.first.locator("summary").evaluate("(e) => e.scrollWidth <= e.clientWidth")
+        assert inside
+        assert items.first.evaluate("(e) => e.offsetHeight") > heights[0]
 
 
 def test_a_deep_volume_keeps_its_resolution_at_the_layer(tmp_path):

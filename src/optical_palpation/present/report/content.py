@@ -54,9 +54,7 @@ def thicknesses(
     return {**found, "loaded": seen}
 
 
-def comparisons(
-    result: StressResult, others: Mapping[str, StressResult]
-) -> dict[str, xr.Dataset]:
+def comparisons(result: StressResult, others: Mapping[str, StressResult]) -> dict[str, xr.Dataset]:
     """What :func:`compare_results` finds of each other result against this one, by name."""
     return {
         name: compare_results({"this": result.maps, "other": other.maps})

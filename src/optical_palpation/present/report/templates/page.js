@@ -20,6 +20,8 @@ async function build() {
   document.getElementById("stage").append(stage.figure);
   linkDownloads(stage);
   cursor.move({ x: middle(x), y: middle(y) });
+  stage.fit();
+  addEventListener("resize", () => stage.refit());
   await drawn();
   performance.mark("first-map");
 

@@ -4,6 +4,8 @@ const controls = Object.fromEntries(
   [...document.querySelectorAll("#stage-controls [id]")].map((e) => [e.id.replace("stage-", ""), e]),
 );
 
+const LEAST = 384; // pixels along the longer side of the large map, if the screen has them
+
 class Stage extends MapPlot {
   constructor(grids, masks, field, redrawAll) {
     const name = data.stage[0];
@@ -40,6 +42,28 @@ class Stage extends MapPlot {
     controls.clear.addEventListener("click", () => this.remove(() => true));
     this.listenForShapes();
     this.turnTo(name);
+  }
+
+  // As wide as lets the whole map be on the first screen; where little room is left, it must be
+  // large enough all the same.
+  fit() {
+    this.fitted = { width: innerWidth, height: innerHeight };
+    const least = LEAST / Math.max(1, this.aspect);
+    for (let pass = 0; pass < 3; pass++) { // the caption of a narrower figure may take more lines
+      this.resize();
+      const box = this.figure.getBoundingClientRect();
+      const [beside, around] = [box.width - this.width, box.height - this.height];
+      const room = innerHeight - (box.top + scrollY) - around - 8;
+      const wide = Math.floor(Math.max(room / this.aspect + beside, least));
+      document.documentElement.style.setProperty("--map", `${wide}px`);
+    }
+  }
+
+  // Not where only the bar of a phone's browser comes and goes: the map would change its size under
+  // the finger.
+  refit() {
+    const { width, height } = this.fitted;
+    if (!printing && (innerWidth !== width || Math.abs(innerHeight - height) > 120)) this.fit();
   }
 
   // Show another map, as soon as its values are there.
