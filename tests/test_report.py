@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import zlib
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -274,7 +275,7 @@ def points(host, style):
         "(p) => p.map((q) => q.getAttribute('d'))"
     )
     return np.array(
-        [[float(v) for v in p.split()] for p in re.findall(r"[ML]([^ML]+)", "".join(texts))]
+        [[float(v) for v in p.split()] for p in re.findall(r"[ML]([^MLZ]+)", "".join(texts))]
     )
 
 
@@ -1054,14 +1055,15 @@ def test_a_rectangle_has_the_statistics_of_what_is_in_it(page):
     assert cells[0] == "1 rectangle"
     assert number(cells[1]) == pytest.approx(float(found["area"]), rel=0.02)
     assert number(cells[2].split(" ")[0]) == pytest.approx(float(found["mean"]), rel=0.01)
-    assert number(cells[3]) == pytest.approx(float(found["minimum"]), rel=0.01)
-    assert number(cells[4]) == pytest.approx(float(found["maximum"]), rel=0.01)
-    assert number(cells[5]) == pytest.approx(float(found["force"]), rel=0.03)
+    assert number(cells[3]) == pytest.approx(float(found["standard_deviation"]), rel=0.01)
+    assert number(cells[4]) == pytest.approx(float(found["minimum"]), rel=0.01)
+    assert number(cells[5]) == pytest.approx(float(found["maximum"]), rel=0.01)
+    assert number(cells[6]) == pytest.approx(float(found["force"]), rel=0.03)
     choose(page, "loaded-thickness")  # the same rectangle, of another map
     cells = page.locator("#shapes tbody tr").first.locator("th, td").all_inner_texts()
     thick = LAYERS["loaded"]["thickness"].sel(x=slice(x0, x1), y=slice(y0, y1))
     assert number(cells[2].split(" ")[0]) == pytest.approx(float(thick.mean()), rel=0.01)
-    assert cells[5] == ""
+    assert cells[6] == ""
     page.locator("#shapes tbody button").click()
     assert not page.locator("#shapes").is_visible()
 
@@ -1077,6 +1079,87 @@ def test_a_line_has_a_profile(page):
     assert drawn[-1, 1] > drawn[0, 1]
     page.locator("#stage-clear").click()
     assert not page.locator("#course").is_visible()
+
+
+def test_lines_and_rectangles_say_what_the_library_says(show, tmp_path):
+    """Interpolated lines with the band of the error, means with their errors, a gap, the rim."""
+    from optical_palpation.analysis import Region, line_profile, region_statistics
+    from optical_palpation.present.terms import rounded
+
+    maps = annotated().maps
+    maps["axial_stress"][5, 6] = np.nan
+    page = show(write(tmp_path / "lines.html", StressResult(maps)))
+    extent = {
+        axis: (float(maps[axis][0] - step / 2), float(maps[axis][-1] + step / 2))
+        for axis in "xy"
+        for step in [float(maps[axis].diff(axis).mean())]
+    }
+
+    def at(share):
+        return tuple(
+            low + s * (high - low) for s, (low, high) in zip(share, extent.values(), strict=True)
+        )
+
+    for start, end in [
+        ((0.1, 0.3), (0.95, 0.75)),
+        ((0.5, 0.0), (0.52, 1.0)),
+        ((0.02, 0.9), (0.3, 0.6)),
+    ]:
+        drag(page, "line", start, end)
+        settle(page)
+        # what was drawn, to the pixel of the screen
+        with page.expect_download() as waiting:
+            page.locator("#save-shapes").click()
+        waiting.value.save_as(tmp_path / "shapes.csv")
+        names, *_, last = (r.split(",") for r in (tmp_path / "shapes.csv").read_text().splitlines())
+        row = dict(zip(names, last, strict=True))
+        ends = [[float(row[f"{axis}{k} (mm)"]) for axis in "xy"] for k in (0, 1)]
+        assert ends == [pytest.approx(at(p), abs=0.02) for p in (start, end)]
+        profile = line_profile(maps, *ends)
+        values = profile["axial_stress"].values
+        there = np.isfinite(values)
+        mean = values[there].mean()
+        error = profile["axial_stress_error"].values[there].mean()
+        assert float(row["mean (kPa)"]) == pytest.approx(mean, rel=2e-3)
+        assert float(row["standard deviation (kPa)"]) == pytest.approx(
+            values[there].std(), rel=0.01
+        )
+        assert float(row["lowest (kPa)"]) == pytest.approx(values[there].min(), rel=2e-3)
+        assert float(row["error of the mean (kPa)"]) == pytest.approx(error, rel=5e-3)
+        host = page.locator("#course .plot")
+        drawn = points(host, "curve")
+        assert len(drawn) == there.sum()
+        slope, first = np.polyfit(drawn[:, 1], values[there], 1)
+        assert slope * drawn[:, 1] + first == pytest.approx(
+            values[there], abs=0.01 * np.ptp(values[there])
+        )
+        band = points(host, "band")
+        assert len(band) == 2 * there.sum()
+        wide = abs(slope) * (band[:, 1].max() - band[:, 1].min())
+        assert wide > np.ptp(values[there]) + error / 2
+    page.locator("#stage-clear").click()
+    drag(page, "rectangle", (0.35, 0.3), (0.75, 0.62))
+    (x0, y0), (x1, y1) = at((0.35, 0.3)), at((0.75, 0.62))
+    found = region_statistics(maps, [Region.rectangle("r", x0, x1, y0, y1)]).isel(region=0)
+    cells = page.locator("#shapes tbody tr").first.locator("th, td").all_inner_texts()
+    headings = page.locator("#shapes thead th").all_inner_texts()
+    assert headings[2:4] == ["Mean \u00b1 error", "s.d."]
+    mean, error = cells[2].replace("\u00a0", " ").split(" \u00b1 ")
+    assert number(mean) == pytest.approx(float(found["mean"]), rel=0.01)
+    assert number(error) == pytest.approx(float(found["mean_error"]), rel=0.02)
+    force, error = cells[6].replace("\u00a0", " ").split(" \u00b1 ")
+    assert number(force) == pytest.approx(float(found["force"]), rel=0.03)
+    assert number(error) == pytest.approx(float(found["force_error"]), rel=0.05)
+    decimals = len(mean.partition(".")[2])
+    assert all(len(cell.partition(".")[2]) == decimals for cell in cells[3:6])
+    for value, error in ((412.3456, 11.7), (-7.1234, 0.0456), (0.5, 0.0999), (1234.5, 151.2)):
+        said = page.evaluate(f"() => {{ {DIGITS}; return rounded({value}, {error}).join('') }}")
+        assert said.replace("\u00a0", " ") == rounded(value, error)
+
+
+# The page's own function: its script is a module, whose names cannot be reached from outside.
+DATA = (files("optical_palpation") / "present/report/templates/data.js").read_text()
+DIGITS = "".join(re.findall(r"^const clamp[^;]*;|^function rounded.*?^}", DATA, flags=re.S | re.M))
 
 
 def test_zoom_shows_a_part_and_the_whole_again(page):

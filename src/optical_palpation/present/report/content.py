@@ -165,6 +165,14 @@ def map_entries(
         show(f"{state}-projection", title, scale, field, group="layer", digits=2)
         scales[scale] = {"colours": "gray", "units": "dB"}
 
+    for name, entry in shown.items():
+        own = f"{names.get(name, name)}_error"
+        if name.startswith("difference-"):
+            own = f"{name}-error"
+        elif name in ("sample_shear_modulus", "sample_youngs_modulus"):
+            own = "sample_modulus_error"
+        if own in shown:  # that of moduli is a share of them
+            entry |= {"error": own, "relative": own == "sample_modulus_error"}
     for name, entry in scales.items():
         if "low" not in entry:
             entry["low"], entry["high"] = common_limits(members[name], entry["colours"])

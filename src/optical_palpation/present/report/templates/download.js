@@ -32,7 +32,8 @@ function shapeTable(stage) {
       .map((v) => (typeof v === "number" ? (Number.isFinite(v) ? v.toPrecision(6) : "") : v))
       .join(","),
   );
-  return `${[names.join(",") + ",force (mN)", ...rows].join("\n")}\n`;
+  names.push("force (mN)", `error of the mean (${units})`, "error of the force (mN)");
+  return `${[names.join(","), ...rows].join("\n")}\n`;
 }
 
 // The large map with axes, colour bar and title, as a picture that stands alone.
