@@ -1239,6 +1239,52 @@ def test_downloads(page, tmp_path):
     assert picture.std() > 20
 
 
+def test_pictures_end_where_the_map_ends(page, tmp_path):
+    """Volumes and maps share a frame, of which a map may fill a part; its picture has no rim."""
+
+    def got(button):
+        with page.expect_download() as waiting:
+            page.locator(button).click()
+        path = tmp_path / waiting.value.suggested_filename
+        waiting.value.save_as(path)
+        return path
+
+    choose(page, "algebraic")
+    page.mouse.move(1, 1)
+    before = grey(page.locator("#stage-plot"))
+    drawn = got("#save-svg").read_text()
+
+    def box(mark):
+        tag = re.search(rf"<(?:rect|image)[^>]*{mark}[^>]*>", drawn)[0]
+        return [
+            float(re.search(rf' {name}="([\d.]+)"', tag)[1])
+            for name in ("x", "y", "width", "height")
+        ]
+
+    left, top, width, height = box('class="frame"')
+    maps = stress_result().maps
+    size = [float(maps[a][-1] - maps[a][0] + maps[a][1] - maps[a][0]) for a in "xy"]
+    assert width / height == pytest.approx(size[0] / size[1], rel=0.01)
+    for mark in ("scale-bar", "plate"):
+        x, y, w, h = box(mark)
+        assert left <= x < x + w <= left + width
+        assert top <= y < y + h <= top + height
+    picture = np.asarray(Image.open(got("#save-png")).convert("RGB"), float)
+    inner = picture[
+        2 * int(top + 30) + 6 : 2 * int(top + 30 + height) - 6,
+        2 * int(left) + 6 : 2 * int(left + width) - 6,
+    ]
+    # No white at the rim, but for the plate of the scale bar.
+    assert inner[:, :3].min(2).max() < 240
+    assert inner[:3].min(2).max() < 240
+    assert inner[:, -3:][: int(0.8 * len(inner))].min(2).max() < 240
+    # The page is as before.
+    assert np.array_equal(grey(page.locator("#stage-plot")), before)
+    drag(page, "zoom", (0.3, 0.3), (0.6, 0.6))
+    drawn = got("#save-svg").read_text()
+    assert box('class="frame"')[2] / box('class="frame"')[3] > 0.5
+
+
 def annotated():
     """A result with the maps that other parts of the software add: errors, influences."""
     result = stress_result()
