@@ -1416,6 +1416,40 @@ def test_a_comparison_shows_the_other_map_the_error_and_a_table(show, tmp_path):
     assert other[6].replace("\u00a0", " ") == "40.0 \u00b1 2.0"
 
 
+def test_a_mask_is_outlined_along_the_edges_of_its_pixels(show, tmp_path):
+    from skimage.measure import points_in_poly
+
+    from optical_palpation.analysis import Region
+
+    y, x = 1.3 + 0.05 * np.arange(30), -0.2 + 0.04 * np.arange(25)
+    inside = np.random.default_rng(3).random((30, 25)) > 0.5  # holes, islands, touching corners
+    inside[0], inside[:, -1] = True, True
+    mask = xr.DataArray(inside, {"y": y, "x": x}, ("y", "x"))
+    regions = [Region.of_mask("<b>mask</b>", mask), Region.rectangle("box", 0.0, 0.5, 1.5, 2.0)]
+    page = show(write(tmp_path / "mask.html", stress_result(), regions=regions))
+    data = json.loads(page.locator("#data").text_content())
+    outlines = [np.array(o) for o in data["regions"][0]["outlines"]]
+    centres = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    count = sum(points_in_poly(centres, outline).astype(int) for outline in outlines)
+    assert np.array_equal(count % 2 == 1, inside.ravel())
+    # Every corner is one of a pixel, every side runs along x or along y.
+    corners = np.concatenate(outlines)
+    for values, at, step in ((corners[:, 0], x, 0.04), (corners[:, 1], y, 0.05)):
+        places = (values - at[0]) / step + 0.5
+        assert places == pytest.approx(np.round(places), abs=1e-3)
+    for outline in outlines:
+        sides = np.abs(np.diff(outline, axis=0, append=outline[:1])) > 1e-9
+        assert (sides.sum(1) == 1).all()
+    area = sum(
+        np.sum(o[:, 0] * np.roll(o[:, 1], -1) - o[:, 1] * np.roll(o[:, 0], -1)) / 2
+        for o in outlines
+    )
+    assert area == pytest.approx(inside.sum() * 0.04 * 0.05, rel=1e-4)
+    assert page.locator("#stage-plot path.shape").count() == len(outlines) + 1
+    labels = page.locator("#stage-plot .label").all_text_contents()
+    assert [label for label in labels if label and "mm" not in label] == ["<b>mask</b>", "box"]
+
+
 def test_a_link_goes_nowhere_but_beside(tmp_path):
     for name in ("../stress.nc", "/etc/passwd", "a/b.nc"):
         with pytest.raises(InputError, match="beside the report"):

@@ -323,7 +323,8 @@ class Stage extends MapPlot {
     if (!this.width) return;
     const parts = [];
     for (const { name: label, outlines } of this.regions) {
-      for (const outline of outlines) parts.push(...this.outline(outline, true, label));
+      // holes and islands are not named again
+      outlines.forEach((outline, k) => parts.push(...this.outline(outline, true, k ? "" : label)));
     }
     [...this.shapes, ...(this.draft ? [this.draft] : [])].forEach(({ kind, points: [a, b] }, k) => {
       const corners = kind === "line" ? [a, b] : [a, [b[0], a[1]], b, [a[0], b[1]]];
