@@ -1019,7 +1019,18 @@ def test_every_map_can_be_enlarged(page):
         assert number(stage_text(page).split(": ")[1]) == pytest.approx(value, rel=3e-3)
     choose(page, "window_contact_state")
     assert stage_text(page).endswith(": stick")
-    assert page.locator("#stage-low").is_disabled()
+    # no limits of another map are left, and what cannot be used looks so
+    for key in ("low", "high", "colours", "auto"):
+        box = page.locator(f"#stage-{key}")
+        assert box.is_disabled()
+        assert float(box.evaluate("(e) => getComputedStyle(e).opacity")) < 0.6
+    for key in ("low", "high", "colours"):
+        assert page.locator(f"#stage-{key}").input_value() == ""
+    assert page.locator("#stage-units").inner_text() == ""
+    choose(page, "contact_pressure")
+    assert page.locator("#stage-low").is_enabled()
+    assert page.locator("#stage-units").inner_text() == "kPa"
+    assert float(page.locator("#stage-high").input_value()) > 0
 
 
 def test_limits_and_colours_hold_for_all_maps_of_a_scale(page):

@@ -88,7 +88,12 @@ class Stage extends MapPlot {
 
   recolour() {
     super.recolour();
-    if (!this.scale) return;
+    if (!this.scale) {
+      // states have no limits, and those of the map before would be read as theirs
+      for (const key of ["low", "high", "colours"]) controls[key].value = "";
+      document.getElementById("stage-units").textContent = "";
+      return;
+    }
     controls.colours.value = this.scale.colours;
     for (const end of ["low", "high"]) {
       const span = this.scale.high - this.scale.low;
