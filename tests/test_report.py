@@ -991,7 +991,7 @@ def test_the_large_map_tells_the_value_under_the_pointer(page):
     host = page.locator("#stage-plot")
     host.scroll_into_view_if_needed()
     left, top, width, height = frame(page, host)
-    for right, up in ((0.4, 0.3), (0.8, 0.7)):
+    for right, up in ((0.4, 0.3), (0.78, 0.7)):
         page.mouse.move(left + right * width, top + (1 - up) * height)
         settle(page)
         x, y = on_field((right, up))
@@ -1605,7 +1605,7 @@ def test_warnings_take_a_line_each_and_the_whole_map_is_on_the_first_screen(show
     assert max(heights) < 30
     box = page.locator("#stage").bounding_box()
     assert box["y"] + box["height"] <= size[1]
-    left, top, width, height = frame(page, page.locator("#stage-plot"))
+    *_, height = frame(page, page.locator("#stage-plot"))
     assert height > 0.3 * size[1]
     items.first.locator("summary").click()
     assert items.first.evaluate("(e) => e.offsetHeight") > 2 * heights[0]

@@ -236,7 +236,7 @@ def _outlines(region: Region) -> list[NDArray[np.float64]]:
     found = []
     while ahead:
         corner = first = next(iter(ahead))
-        loop = []
+        loop: list[tuple[int, int]] = []
         while not loop or corner != first:
             loop.append(corner)
             following = ahead[corner]
