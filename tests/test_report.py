@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import zlib
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -274,7 +275,7 @@ def points(host, style):
         "(p) => p.map((q) => q.getAttribute('d'))"
     )
     return np.array(
-        [[float(v) for v in p.split()] for p in re.findall(r"[ML]([^ML]+)", "".join(texts))]
+        [[float(v) for v in p.split()] for p in re.findall(r"[ML]([^MLZ]+)", "".join(texts))]
     )
 
 
@@ -321,6 +322,88 @@ def test_boundaries_lie_on_the_image(page, zoom):
         columns = ((x - (left - box["x"])) / width * image.shape[1]).astype(int)
         # Half a pixel of the volume.
         assert bright[columns] == pytest.approx(rows, abs=0.6 * len(image) * DZ / (high - low))
+
+
+def labelled(host):
+    """Range in mm of a plot's frame along x and y, from the numbers at its axes."""
+    ranges = []
+    for axis in (0, 1):
+        texts = host.locator("svg text").evaluate_all(
+            """(t, axis) => t.filter((e) => !e.getAttribute("transform"))
+                .filter((e) => (e.getAttribute("text-anchor") === "end") === Boolean(axis))
+                .map((e) => [e.textContent, Number(e.getAttribute(axis ? "y" : "x"))])""",
+            axis,
+        )
+        found = [
+            (float(t.replace("\u2212", "-")), at - 4 * axis)
+            for t, at in texts
+            if re.fullmatch("[\u2212\\d.e-]+", t)
+        ]
+        rect = host.locator("svg rect.frame")
+        start, size = (
+            float(rect.get_attribute(name)) for name in ("xy"[axis], ("width", "height")[axis])
+        )
+        slope, first = np.polyfit([at for _, at in found], [v for v, _ in found], 1)
+        ranges.append((first + slope * start, first + slope * (start + size)))
+    return ranges
+
+
+def test_a_boundary_can_be_enlarged_in_both_directions_and_the_picture_moved(page):
+    go_to_slice(page, 20)
+    host, found = scan(page, "loaded"), LAYERS["loaded"]
+    whole = labelled(host)
+    x = 0.4
+    top = float(found["window_depth"].sel(x=x, method="nearest")[20])
+    # Point at the window, so that it is what is enlarged.
+    (left, right), (low, high) = whole
+    click(page, host, (x - left) / (right - left), 1 - (top - 0.02 - low) / (high - low))
+    page.locator("#magnify").fill("8")
+    settle(page)
+    part = labelled(host)
+    for axis, (was, now) in enumerate(zip(whole, part, strict=True)):
+        assert now[1] - now[0] == pytest.approx((was[1] - was[0]) / 8, rel=0.02)
+        assert np.mean(now) == pytest.approx((x, top)[axis], abs=0.01)
+    # The line lies where the picture is brightest, to a tenth of a pixel of the volume or so.
+    image = grey(host)
+    _, y = points(host, "boundary.window").T
+    rect = host.locator("svg rect.frame")
+    row = (y.mean() - float(rect.get_attribute("y"))) / float(rect.get_attribute("height"))
+    bright = np.argmax(image.mean(1)) / len(image)
+    assert abs(bright - row) * (part[1][1] - part[1][0]) < DZ
+    # A drag moves the picture, not the cursor; so does the wheel, until the end is reached.
+    before = place(page)
+    _, _, wide, tall = frame(page, host)
+    start = [a + b / 2 for a, b in zip(frame(page, host)[:2], (wide, tall), strict=True)]
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(start[0] + 0.2 * wide, start[1] - 0.3 * tall, steps=4)
+    page.mouse.up()
+    settle(page)
+    moved = labelled(host)
+    assert place(page) == before
+    for (was, now), share in zip(zip(part, moved, strict=True), (-0.2, 0.3), strict=True):
+        assert now[0] - was[0] == pytest.approx(
+            share * (was[1] - was[0]), abs=0.1 * (was[1] - was[0])
+        )
+    scrolled = page.evaluate("() => scrollY")
+    page.mouse.wheel(0, 0.5 * tall)
+    page.wait_for_timeout(100)
+    lower = labelled(host)[1]
+    assert lower[0] - moved[1][0] == pytest.approx(0.5 * (lower[1] - lower[0]), rel=0.05)
+    assert page.evaluate("() => scrollY") == scrolled
+    host.focus()
+    page.keyboard.press("PageUp")
+    settle(page)
+    assert lower[0] - labelled(host)[1][0] == pytest.approx(0.25 * (lower[1] - lower[0]), rel=0.05)
+    # A click moves the cursor, and what is enlarged with it.
+    click(page, host, 0.9, 0.5)
+    assert place(page)[0] == pytest.approx(
+        moved[0][0] + 0.9 * (moved[0][1] - moved[0][0]), abs=2e-3
+    )
+    assert np.mean(labelled(host)[0]) == pytest.approx(place(page)[0], abs=2e-3)
+    page.locator("#magnify").fill("1")
+    settle(page)
+    assert np.ravel(labelled(host)) == pytest.approx(np.ravel(whole))
 
 
 def depths(found):
@@ -600,7 +683,7 @@ def test_phone(show, study, width):
     size = page.evaluate("() => [document.documentElement.scrollWidth, innerWidth]")
     assert size == [width, width]
     wide = page.evaluate(
-        "() => [...document.querySelectorAll('main *:not(pre *)')]"
+        "() => [...document.querySelectorAll('main *:not(pre *):not(.warnings summary *)')]"
         ".filter((e) => e.getBoundingClientRect().right > innerWidth + 1).length"
     )
     assert wide == 0
@@ -908,7 +991,7 @@ def test_the_large_map_tells_the_value_under_the_pointer(page):
     host = page.locator("#stage-plot")
     host.scroll_into_view_if_needed()
     left, top, width, height = frame(page, host)
-    for right, up in ((0.4, 0.3), (0.8, 0.7)):
+    for right, up in ((0.4, 0.3), (0.78, 0.7)):
         page.mouse.move(left + right * width, top + (1 - up) * height)
         settle(page)
         x, y = on_field((right, up))
@@ -936,7 +1019,18 @@ def test_every_map_can_be_enlarged(page):
         assert number(stage_text(page).split(": ")[1]) == pytest.approx(value, rel=3e-3)
     choose(page, "window_contact_state")
     assert stage_text(page).endswith(": stick")
-    assert page.locator("#stage-low").is_disabled()
+    # no limits of another map are left, and what cannot be used looks so
+    for key in ("low", "high", "colours", "auto"):
+        box = page.locator(f"#stage-{key}")
+        assert box.is_disabled()
+        assert float(box.evaluate("(e) => getComputedStyle(e).opacity")) < 0.6
+    for key in ("low", "high", "colours"):
+        assert page.locator(f"#stage-{key}").input_value() == ""
+    assert page.locator("#stage-units").inner_text() == ""
+    choose(page, "contact_pressure")
+    assert page.locator("#stage-low").is_enabled()
+    assert page.locator("#stage-units").inner_text() == "kPa"
+    assert float(page.locator("#stage-high").input_value()) > 0
 
 
 def test_limits_and_colours_hold_for_all_maps_of_a_scale(page):
@@ -972,14 +1066,15 @@ def test_a_rectangle_has_the_statistics_of_what_is_in_it(page):
     assert cells[0] == "1 rectangle"
     assert number(cells[1]) == pytest.approx(float(found["area"]), rel=0.02)
     assert number(cells[2].split(" ")[0]) == pytest.approx(float(found["mean"]), rel=0.01)
-    assert number(cells[3]) == pytest.approx(float(found["minimum"]), rel=0.01)
-    assert number(cells[4]) == pytest.approx(float(found["maximum"]), rel=0.01)
-    assert number(cells[5]) == pytest.approx(float(found["force"]), rel=0.03)
+    assert number(cells[3]) == pytest.approx(float(found["standard_deviation"]), rel=0.01)
+    assert number(cells[4]) == pytest.approx(float(found["minimum"]), rel=0.01)
+    assert number(cells[5]) == pytest.approx(float(found["maximum"]), rel=0.01)
+    assert number(cells[6]) == pytest.approx(float(found["force"]), rel=0.03)
     choose(page, "loaded-thickness")  # the same rectangle, of another map
     cells = page.locator("#shapes tbody tr").first.locator("th, td").all_inner_texts()
     thick = LAYERS["loaded"]["thickness"].sel(x=slice(x0, x1), y=slice(y0, y1))
     assert number(cells[2].split(" ")[0]) == pytest.approx(float(thick.mean()), rel=0.01)
-    assert cells[5] == ""
+    assert cells[6] == ""
     page.locator("#shapes tbody button").click()
     assert not page.locator("#shapes").is_visible()
 
@@ -995,6 +1090,87 @@ def test_a_line_has_a_profile(page):
     assert drawn[-1, 1] > drawn[0, 1]
     page.locator("#stage-clear").click()
     assert not page.locator("#course").is_visible()
+
+
+def test_lines_and_rectangles_say_what_the_library_says(show, tmp_path):
+    """Interpolated lines with the band of the error, means with their errors, a gap, the rim."""
+    from optical_palpation.analysis import Region, line_profile, region_statistics
+    from optical_palpation.present.terms import rounded
+
+    maps = annotated().maps
+    maps["axial_stress"][5, 6] = np.nan
+    page = show(write(tmp_path / "lines.html", StressResult(maps)))
+    extent = {
+        axis: (float(maps[axis][0] - step / 2), float(maps[axis][-1] + step / 2))
+        for axis in "xy"
+        for step in [float(maps[axis].diff(axis).mean())]
+    }
+
+    def at(share):
+        return tuple(
+            low + s * (high - low) for s, (low, high) in zip(share, extent.values(), strict=True)
+        )
+
+    for start, end in [
+        ((0.1, 0.3), (0.95, 0.75)),
+        ((0.5, 0.0), (0.52, 1.0)),
+        ((0.02, 0.9), (0.3, 0.6)),
+    ]:
+        drag(page, "line", start, end)
+        settle(page)
+        # what was drawn, to the pixel of the screen
+        with page.expect_download() as waiting:
+            page.locator("#save-shapes").click()
+        waiting.value.save_as(tmp_path / "shapes.csv")
+        names, *_, last = (r.split(",") for r in (tmp_path / "shapes.csv").read_text().splitlines())
+        row = dict(zip(names, last, strict=True))
+        ends = [[float(row[f"{axis}{k} (mm)"]) for axis in "xy"] for k in (0, 1)]
+        assert ends == [pytest.approx(at(p), abs=0.02) for p in (start, end)]
+        profile = line_profile(maps, *ends)
+        values = profile["axial_stress"].values
+        there = np.isfinite(values)
+        mean = values[there].mean()
+        error = profile["axial_stress_error"].values[there].mean()
+        assert float(row["mean (kPa)"]) == pytest.approx(mean, rel=2e-3)
+        assert float(row["standard deviation (kPa)"]) == pytest.approx(
+            values[there].std(), rel=0.01
+        )
+        assert float(row["lowest (kPa)"]) == pytest.approx(values[there].min(), rel=2e-3)
+        assert float(row["error of the mean (kPa)"]) == pytest.approx(error, rel=5e-3)
+        host = page.locator("#course .plot")
+        drawn = points(host, "curve")
+        assert len(drawn) == there.sum()
+        slope, first = np.polyfit(drawn[:, 1], values[there], 1)
+        assert slope * drawn[:, 1] + first == pytest.approx(
+            values[there], abs=0.01 * np.ptp(values[there])
+        )
+        band = points(host, "band")
+        assert len(band) == 2 * there.sum()
+        wide = abs(slope) * (band[:, 1].max() - band[:, 1].min())
+        assert wide > np.ptp(values[there]) + error / 2
+    page.locator("#stage-clear").click()
+    drag(page, "rectangle", (0.35, 0.3), (0.75, 0.62))
+    (x0, y0), (x1, y1) = at((0.35, 0.3)), at((0.75, 0.62))
+    found = region_statistics(maps, [Region.rectangle("r", x0, x1, y0, y1)]).isel(region=0)
+    cells = page.locator("#shapes tbody tr").first.locator("th, td").all_inner_texts()
+    headings = page.locator("#shapes thead th").all_inner_texts()
+    assert headings[2:4] == ["Mean \u00b1 error", "s.d."]
+    mean, error = cells[2].replace("\u00a0", " ").split(" \u00b1 ")
+    assert number(mean) == pytest.approx(float(found["mean"]), rel=0.01)
+    assert number(error) == pytest.approx(float(found["mean_error"]), rel=0.02)
+    force, error = cells[6].replace("\u00a0", " ").split(" \u00b1 ")
+    assert number(force) == pytest.approx(float(found["force"]), rel=0.03)
+    assert number(error) == pytest.approx(float(found["force_error"]), rel=0.05)
+    decimals = len(mean.partition(".")[2])
+    assert all(len(cell.partition(".")[2]) == decimals for cell in cells[3:6])
+    for value, error in ((412.3456, 11.7), (-7.1234, 0.0456), (0.5, 0.0999), (1234.5, 151.2)):
+        said = page.evaluate(f"() => {{ {DIGITS}; return rounded({value}, {error}).join('') }}")
+        assert said.replace("\u00a0", " ") == rounded(value, error)
+
+
+# The page's own function: its script is a module, whose names cannot be reached from outside.
+DATA = (files("optical_palpation") / "present/report/templates/data.js").read_text()
+DIGITS = "".join(re.findall(r"^const clamp[^;]*;|^function rounded.*?^}", DATA, flags=re.S | re.M))
 
 
 def test_zoom_shows_a_part_and_the_whole_again(page):
@@ -1072,6 +1248,52 @@ def test_downloads(page, tmp_path):
     picture = np.asarray(Image.open(got("#save-png")).convert("RGB"), float)
     assert picture.shape[1] > 800
     assert picture.std() > 20
+
+
+def test_pictures_end_where_the_map_ends(page, tmp_path):
+    """Volumes and maps share a frame, of which a map may fill a part; its picture has no rim."""
+
+    def got(button):
+        with page.expect_download() as waiting:
+            page.locator(button).click()
+        path = tmp_path / waiting.value.suggested_filename
+        waiting.value.save_as(path)
+        return path
+
+    choose(page, "algebraic")
+    page.mouse.move(1, 1)
+    before = grey(page.locator("#stage-plot"))
+    drawn = got("#save-svg").read_text()
+
+    def box(mark):
+        tag = re.search(rf"<(?:rect|image)[^>]*{mark}[^>]*>", drawn)[0]
+        return [
+            float(re.search(rf' {name}="([\d.]+)"', tag)[1])
+            for name in ("x", "y", "width", "height")
+        ]
+
+    left, top, width, height = box('class="frame"')
+    maps = stress_result().maps
+    size = [float(maps[a][-1] - maps[a][0] + maps[a][1] - maps[a][0]) for a in "xy"]
+    assert width / height == pytest.approx(size[0] / size[1], rel=0.01)
+    for mark in ("scale-bar", "plate"):
+        x, y, w, h = box(mark)
+        assert left <= x < x + w <= left + width
+        assert top <= y < y + h <= top + height
+    picture = np.asarray(Image.open(got("#save-png")).convert("RGB"), float)
+    inner = picture[
+        2 * int(top + 30) + 6 : 2 * int(top + 30 + height) - 6,
+        2 * int(left) + 6 : 2 * int(left + width) - 6,
+    ]
+    # No white at the rim, but for the plate of the scale bar.
+    assert inner[:, :3].min(2).max() < 240
+    assert inner[:3].min(2).max() < 240
+    assert inner[:, -3:][: int(0.8 * len(inner))].min(2).max() < 240
+    # The page is as before.
+    assert np.array_equal(grey(page.locator("#stage-plot")), before)
+    drag(page, "zoom", (0.3, 0.3), (0.6, 0.6))
+    drawn = got("#save-svg").read_text()
+    assert box('class="frame"')[2] / box('class="frame"')[3] > 0.5
 
 
 def annotated():
@@ -1155,6 +1377,88 @@ def test_further_maps_error_bands_differences_and_regions(show, tmp_path):
     assert page.locator("a[download]").get_attribute("href") == "stress.nc"
     assert "\u00b1" in page.locator(".figures").inner_text()
     assert page.evaluate("() => window.broken") is None
+
+
+def test_a_comparison_shows_the_other_map_the_error_and_a_table(show, tmp_path):
+    result = annotated()
+    stress, error = result.maps["axial_stress"], result.maps["axial_stress_error"]
+    offset = xr.where(stress.x > 0.3, 3.0, 0.1)
+    changed = result.maps.assign(axial_stress=stress + offset).assign_attrs(
+        sample_force_mN=40.0, force_error_mN=2.0
+    )
+    changed["axial_stress_error"] = error.fillna(0.0) * 0 + 0.3
+    page = show(write(tmp_path / "two.html", result, others={"second": StressResult(changed)}))
+    page.locator("#cursor-x").fill("0.85")
+    page.keyboard.press("Enter")
+    page.locator("#cursor-y").fill("2.1")
+    page.keyboard.press("Enter")
+    page.mouse.move(1, 1)
+    here = stress.sel(x=0.85, y=2.1, method="nearest")
+    known = np.hypot(0.1 * abs(here), 0.3)
+    for key, value in (
+        ("other-0", here + 3.0),
+        ("difference-0", 3.0),
+        ("difference-0-error", known),
+    ):
+        choose(page, key)
+        assert number(stage_text(page).split(": ")[1]) == pytest.approx(float(value), rel=3e-3)
+    assert page.locator("[data-map='other-0']").count() == 1
+    # one scale for both maps of stress
+    ends = [
+        page.locator(f"[data-map='{name}'] .colours span").all_inner_texts()
+        for name in ("computational", "other-0")
+    ]
+    assert ends[0] == ends[1]
+    rows = page.locator("#comparison + .scroll tbody tr")
+    this, other = (rows.nth(k).locator("th, td").all_inner_texts() for k in (0, 1))
+    assert this[0] == "this"
+    assert this[-1] == "31.2"
+    there = np.isfinite(stress.values)
+    d = np.broadcast_to(offset.values, stress.shape)[there]
+    rms = np.sqrt(np.mean(d**2))
+    both = np.hypot(0.1 * stress.values[there], 0.3)
+    cells = [number(text.replace("\u00a0", "\u202f")) for text in other[1:6]]
+    assert cells[0] == pytest.approx(d.mean(), rel=5e-3)
+    assert cells[1] == pytest.approx(rms, rel=5e-3)
+    assert cells[2] == pytest.approx(100 * rms / np.sqrt(np.mean(stress.values[there] ** 2)), 2e-2)
+    assert cells[3] == pytest.approx(np.sqrt(np.mean(both**2)), rel=5e-2)
+    assert cells[4] == pytest.approx(100 * np.mean(d <= both), rel=2e-2)
+    assert other[0] == "second"
+    assert other[6].replace("\u00a0", " ") == "40.0 \u00b1 2.0"
+
+
+def test_a_mask_is_outlined_along_the_edges_of_its_pixels(show, tmp_path):
+    from skimage.measure import points_in_poly
+
+    from optical_palpation.analysis import Region
+
+    y, x = 1.3 + 0.05 * np.arange(30), -0.2 + 0.04 * np.arange(25)
+    inside = np.random.default_rng(3).random((30, 25)) > 0.5  # holes, islands, touching corners
+    inside[0], inside[:, -1] = True, True
+    mask = xr.DataArray(inside, {"y": y, "x": x}, ("y", "x"))
+    regions = [Region.of_mask("<b>mask</b>", mask), Region.rectangle("box", 0.0, 0.5, 1.5, 2.0)]
+    page = show(write(tmp_path / "mask.html", stress_result(), regions=regions))
+    data = json.loads(page.locator("#data").text_content())
+    outlines = [np.array(o) for o in data["regions"][0]["outlines"]]
+    centres = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    count = sum(points_in_poly(centres, outline).astype(int) for outline in outlines)
+    assert np.array_equal(count % 2 == 1, inside.ravel())
+    # Every corner is one of a pixel, every side runs along x or along y.
+    corners = np.concatenate(outlines)
+    for values, at, step in ((corners[:, 0], x, 0.04), (corners[:, 1], y, 0.05)):
+        places = (values - at[0]) / step + 0.5
+        assert places == pytest.approx(np.round(places), abs=1e-3)
+    for outline in outlines:
+        sides = np.abs(np.diff(outline, axis=0, append=outline[:1])) > 1e-9
+        assert (sides.sum(1) == 1).all()
+    area = sum(
+        np.sum(o[:, 0] * np.roll(o[:, 1], -1) - o[:, 1] * np.roll(o[:, 0], -1)) / 2
+        for o in outlines
+    )
+    assert area == pytest.approx(inside.sum() * 0.04 * 0.05, rel=1e-4)
+    assert page.locator("#stage-plot path.shape").count() == len(outlines) + 1
+    labels = page.locator("#stage-plot .label").all_text_contents()
+    assert [label for label in labels if label and "mm" not in label] == ["<b>mask</b>", "box"]
 
 
 def test_a_link_goes_nowhere_but_beside(tmp_path):
@@ -1286,6 +1590,32 @@ def test_warnings_are_sentences_and_break_no_option(show, tmp_path):
     assert item.inner_text() == text[0].upper() + text[1:]
     assert item.locator(".whole").inner_text() == "--layer-extent"
     assert item.locator("i").count() == 0
+
+
+LONG = "the sides of the layer are free: " + "that changes what is near them, and " * 9 + "is all."
+
+
+@pytest.mark.parametrize("size", [(1300, 900), (390, 844)])
+def test_warnings_take_a_line_each_and_the_whole_map_is_on_the_first_screen(show, tmp_path, size):
+    touch = {"has_touch": True, "is_mobile": True} if size[0] < 500 else {}
+    path = write(tmp_path / "warned.html", stress_result(), warnings=[LONG, LONG + "!", "Short."])
+    page = show(path, *size, **touch)
+    items = page.locator("#warnings li")
+    heights = items.evaluate_all("(l) => l.map((e) => e.offsetHeight)")
+    assert max(heights) < 30
+    box = page.locator("#stage").bounding_box()
+    assert box["y"] + box["height"] <= size[1]
+    *_, height = frame(page, page.locator("#stage-plot"))
+    assert height > 0.3 * size[1]
+    items.first.locator("summary").click()
+    assert items.first.evaluate("(e) => e.offsetHeight") > 2 * heights[0]
+    assert page.locator("#stage").bounding_box()["width"] == pytest.approx(box["width"], abs=1)
+    if size[0] > 1000:  # nothing stays folded on paper
+        items.first.locator("summary").click()
+        page.emulate_media(media="print")
+        inside = items.first.locator("summary").evaluate("(e) => e.scrollWidth <= e.clientWidth")
+        assert inside
+        assert items.first.evaluate("(e) => e.offsetHeight") > heights[0]
 
 
 def test_a_deep_volume_keeps_its_resolution_at_the_layer(tmp_path):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from optical_palpation.analysis import Region, compare_results, region_statistics
 from optical_palpation.palpation.result import ContactState, StressResult
@@ -32,6 +33,7 @@ from optical_palpation.present.summary import (
 from optical_palpation.present.tables import region_figure
 from optical_palpation.present.terms import (
     DIFFERENCE,
+    ERROR,
     LENGTH,
     QUALITY,
     STRESS,
@@ -53,12 +55,20 @@ def thicknesses(
     return {**found, "loaded": seen}
 
 
+def comparisons(result: StressResult, others: Mapping[str, StressResult]) -> dict[str, xr.Dataset]:
+    """What :func:`compare_results` finds of each other result against this one, by name."""
+    return {
+        name: compare_results({"this": result.maps, "other": other.maps})
+        for name, other in others.items()
+    }
+
+
 def map_entries(
     result: StressResult,
     loaded: xr.Dataset | None,
     unloaded: xr.Dataset | None,
     projections: Mapping[str, xr.DataArray],
-    others: Mapping[str, StressResult],
+    compared: Mapping[str, xr.Dataset],
     regions: Sequence[Region],
 ) -> dict[str, Any]:
     """Maps, masks of interpolated pixels, colour scales and profiles for the page's data."""
@@ -103,16 +113,21 @@ def map_entries(
         mask = "loaded" if measured else of_stress
         show(method, title, "stress", field, group="stress", mask=mask, force=-1.0)
     scales["stress"] = {"colours": STRESS, "units": "kPa"}
-    for number, (name, other) in enumerate(others.items()):
-        found = compare_results({"this": result.maps, "other": other.maps})["difference"]
+    for number, (name, found) in enumerate(compared.items()):
+        other = found[found.attrs["variable"]].isel(result=1)
+        show(f"other-{number}", f"{name}: stress", "stress", other, group="stress", force=-1.0)
         show(
             f"difference-{number}",
             f"{name} less this",
             "difference",
-            found.isel(compared=0),
+            found["difference"].isel(compared=0),
             group="stress",
         )
         scales["difference"] = {"colours": DIFFERENCE, "units": "kPa"}
+        if "difference_error" in found:
+            error = found["difference_error"].isel(compared=0)
+            show(f"difference-{number}-error", f"Error of {name} less this", "error", error)
+            scales["error"] = {"colours": ERROR, "units": "kPa"}
     for name, side in {"contact_state": "sample", "window_contact_state": "window"}.items():
         if name in maps:
             show(name, f"Contact with the {side}", "contact", maps[name], group="stress")
@@ -151,6 +166,14 @@ def map_entries(
         show(f"{state}-projection", title, scale, field, group="layer", digits=2)
         scales[scale] = {"colours": "gray", "units": "dB"}
 
+    for name, entry in shown.items():
+        own = f"{names.get(name, name)}_error"
+        if name.startswith("difference-"):
+            own = f"{name}-error"
+        elif name in ("sample_shear_modulus", "sample_youngs_modulus"):
+            own = "sample_modulus_error"
+        if own in shown:  # that of moduli is a share of them
+            entry |= {"error": own, "relative": own == "sample_modulus_error"}
     for name, entry in scales.items():
         if "low" not in entry:
             entry["low"], entry["high"] = common_limits(members[name], entry["colours"])
@@ -167,7 +190,7 @@ def map_entries(
         "scales": scales,
         "colours": {name: _colours(name) for name in palettes},
         "regions": [
-            {"name": r.name, "outlines": [np.round(o, 5).tolist() for o in r.outlines]}
+            {"name": r.name, "outlines": [np.round(o, 5).tolist() for o in _outlines(r)]}
             for r in regions
         ],
         "profiles": {
@@ -190,6 +213,50 @@ def map_entries(
         },
         "states": {int(s): s.name.lower() for s in states},
     }
+
+
+def _outlines(region: Region) -> list[NDArray[np.float64]]:
+    """Closed polygons of x and y in mm, the longest first; of a mask, along the edges of pixels."""
+    if region.mask is None:
+        return list(region.outlines)
+    mask = region.mask.transpose("y", "x").sortby(["y", "x"])
+    inside = np.pad(mask.values >= 0.5, 1)
+    edges = {axis: _edges(mask[axis].values) for axis in ("y", "x")}
+    # Sides between a pixel inside and one outside, from corner to corner, the inside on the left.
+    ahead: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for rows, columns, start, end in (
+        (slice(None, -2), slice(1, -1), (0, 0), (0, 1)),  # outside below: to the right
+        (slice(2, None), slice(1, -1), (1, 1), (1, 0)),
+        (slice(1, -1), slice(2, None), (0, 1), (1, 1)),
+        (slice(1, -1), slice(None, -2), (1, 0), (0, 0)),
+    ):
+        for j, i in zip(*np.nonzero(inside[1:-1, 1:-1] & ~inside[rows, columns]), strict=True):
+            begin = int(j) + start[0], int(i) + start[1]
+            ahead.setdefault(begin, []).append((int(j) + end[0], int(i) + end[1]))
+    found = []
+    while ahead:
+        corner = first = next(iter(ahead))
+        loop: list[tuple[int, int]] = []
+        while not loop or corner != first:
+            loop.append(corner)
+            following = ahead[corner]
+            after = following.pop()
+            if not following:
+                del ahead[corner]
+            corner = after
+        corners = np.array(loop)
+        turns = (np.roll(corners, 1, axis=0) + np.roll(corners, -1, axis=0) != 2 * corners).any(1)
+        j, i = corners[turns].T
+        found.append((len(loop), np.stack([edges["x"][i], edges["y"][j]], axis=1)))
+    return [outline for _, outline in sorted(found, key=lambda entry: -entry[0])]
+
+
+def _edges(at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Edges of pixels from their centres; a single one is taken to be 0.1 mm wide."""
+    if at.size == 1:
+        return np.array([at[0] - 0.05, at[0] + 0.05])
+    between = (at[1:] + at[:-1]) / 2
+    return np.concatenate([[2 * at[0] - between[0]], between, [2 * at[-1] - between[-1]]])
 
 
 def _profile_range(
@@ -274,6 +341,41 @@ _HEADINGS = {
     "difference": "Less background",
     "contrast": "Contrast",
 }
+
+
+def comparison_rows(
+    result: StressResult,
+    others: Mapping[str, StressResult],
+    compared: Mapping[str, xr.Dataset],
+) -> list[tuple[str, ...]]:
+    """Rows of a table of other results: differences of the stress, error of these, forces."""
+
+    def force(one: StressResult) -> str:
+        attrs = one.maps.attrs
+        if "sample_force_mN" not in attrs:  # the algebraic method has none
+            return ""
+        return rounded(attrs["sample_force_mN"], force_error(attrs))
+
+    rows: list[tuple[str, ...]] = [("this", "", "", "", "", "", force(result))] if others else []
+    for name, other in others.items():
+        found = compared[name].isel(compared=0)
+        whole = found.sel(zone="all")
+        error, within = "", ""
+        if "difference_error" in found:
+            error = rounded(np.sqrt((found["difference_error"] ** 2).mean()), digits=2)
+            within = percent(found["within_error"])
+        rows.append(
+            (
+                name,
+                rounded(whole["bias"]),
+                rounded(whole["rms"]),
+                percent(whole["relative_rms"]),
+                error,
+                within,
+                force(other),
+            )
+        )
+    return rows
 
 
 def force_rows(result: StressResult) -> list[tuple[str, str]]:

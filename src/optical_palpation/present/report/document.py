@@ -115,7 +115,7 @@ def write_report(
         What the reader must know, in plain words. Those of
         :func:`~optical_palpation.present.summarise` are added.
     others
-        Other results by name, whose difference from this one is shown.
+        Other results by name, which are shown with their differences from this one.
     regions
         Regions of interest, for a table and outlines.
     result_file
@@ -144,7 +144,9 @@ def write_report(
         scans[state], projections[state] = draw_volume(volume, layers[state], state)
     if result_file is not None and Path(result_file).name != result_file:
         raise InputError(f"result_file: the name of a file beside the report, not {result_file!r}")
-    data = content.map_entries(result, loaded, unloaded, projections, others or {}, regions)
+    others = others or {}
+    compared = content.comparisons(result, others)
+    data = content.map_entries(result, loaded, unloaded, projections, compared, regions)
     headings, region_rows = content.region_rows(result, regions)
     data["convergence"] = content.convergence_rows(result)
 
@@ -181,6 +183,7 @@ def write_report(
         uniform=content.uniform_maps(data["maps"], result),
         region_headings=headings,
         regions=region_rows,
+        comparison=content.comparison_rows(result, others, compared),
         result_file=None if result_file is None else quote(result_file),
         stress=content.stress_rows(result),
         bands=content.band_rows(result),

@@ -35,6 +35,9 @@ class ScanPlot extends Plot {
     const caption = element("figcaption", {}, element("span", {}, title), this.output);
     this.note = element("p", { class: "quiet" });
     this.figure = element("figure", {}, caption, this.host, this.note);
+    this.seen = { x: NaN, y: NaN }; // the cursor, when the plot last followed it
+    this.dragged = null; // the middle of what is shown, where the reader moved it
+    this.listenForDrags();
   }
 
   step(axis) {
@@ -66,6 +69,11 @@ class ScanPlot extends Plot {
   follow() {
     const index = this.nearest(cursor.y);
     if (index !== this.index) this.show(index);
+    if (cursor.x !== this.seen.x || cursor.y !== this.seen.y) {
+      this.seen = { x: cursor.x, y: cursor.y };
+      this.dragged = null;
+      if (this.magnification > 1) return this.redraw(); // what is enlarged follows, too
+    }
     if (this.width) this.overlay.replaceChildren(...this.outlines(), ...this.cross());
   }
 
@@ -100,17 +108,116 @@ class ScanPlot extends Plot {
     this.canvas.dataset.row = this.entry.rows[this.index];
   }
 
-  // What of the width is shown: all of it, or a part about the cursor.
-  window() {
-    const [left, right] = this.whole.x;
-    const half = (right - left) / 2 / Number(magnified.value);
-    const middle = clamp(cursor.x, left + half, right - half);
-    return [middle - half, middle + half];
+  get magnification() {
+    return Number(magnified.value);
+  }
+
+  get shownDepths() {
+    return zoomed.checked ? this.layer : this.whole.y;
+  }
+
+  // Depth that is enlarged: of the boundary that the reader pointed at, else of that of the sample.
+  boundary() {
+    const { lines, x } = this.entry;
+    const [low, high] = this.shownDepths;
+    if (!lines.window) return (low + high) / 2;
+    const n = lines.window.length / this.entry.rows.length;
+    const at = this.nearest(cursor.y) * n + clamp(Math.round((cursor.x - x[0]) / x[1]), 0, n - 1);
+    const [upper, lower] = [lines.window[at], lines.sample[at]];
+    const depth = Math.abs(this.depth - upper) < Math.abs(this.depth - lower) ? upper : lower;
+    return Number.isFinite(depth) ? depth : (low + high) / 2;
+  }
+
+  // Show all, or enlarge both directions alike about the boundary at the cursor.
+  aim() {
+    if (this.magnification === 1) this.dragged = null;
+    const target = this.dragged ?? { x: cursor.x, y: this.boundary() };
+    for (const [axis, [low, high]] of [["x", this.whole.x], ["y", this.shownDepths]]) {
+      const half = (high - low) / 2 / this.magnification;
+      const at = clamp(target[axis], low + half, high - half);
+      this.axes[axis].range = [at - half, at + half];
+    }
+    // A finger that moves the enlarged part must not scroll the page.
+    this.host.style.touchAction = this.magnification > 1 ? "none" : "";
+  }
+
+  // Move the enlarged part by pixels of the screen; false where it is at the end already.
+  move(right, down) {
+    const before = ["x", "y"].map((axis) => this.axes[axis].range);
+    const [[x0, x1], [y0, y1]] = before;
+    this.dragged = {
+      x: (x0 + x1) / 2 + (right / this.width) * (x1 - x0),
+      y: (y0 + y1) / 2 + (down / this.height) * (y1 - y0),
+    };
+    this.redraw();
+    const { x, y } = this.axes;
+    this.dragged = { x: middle(x.range), y: middle(y.range) };
+    return Math.abs(x.range[0] - x0) + Math.abs(y.range[0] - y0) > 1e-9;
+  }
+
+  point(event) {
+    const top = this.svg.getBoundingClientRect().top + MARGIN.top;
+    const [low, high] = this.axes.y.range;
+    this.depth = low + ((event.clientY - top) / this.height) * (high - low);
+    super.point(event);
+  }
+
+  // Where it is enlarged, a drag moves the picture; a click moves the cursor, as everywhere.
+  listenForDrags() {
+    const { host } = this;
+    let last = null;
+    let far = false;
+    host.addEventListener(
+      "pointerdown",
+      (event) => {
+        if (this.magnification === 1 || event.button !== 0) return;
+        event.stopImmediatePropagation();
+        host.setPointerCapture(event.pointerId);
+        last = [event.clientX, event.clientY];
+        far = false;
+      },
+      true,
+    );
+    host.addEventListener(
+      "pointermove",
+      (event) => {
+        if (!last) return;
+        event.stopImmediatePropagation();
+        const [right, down] = [last[0] - event.clientX, last[1] - event.clientY];
+        if (!far && Math.hypot(right, down) < 4) return; // a click with an unsteady hand
+        far = true;
+        last = [event.clientX, event.clientY];
+        this.move(right, down);
+      },
+      true,
+    );
+    host.addEventListener("pointerup", (event) => {
+      if (last && !far) this.point(event);
+      last = null;
+    });
+    host.addEventListener("pointercancel", () => (last = null));
+    host.addEventListener(
+      "wheel",
+      (event) => {
+        if (this.magnification === 1 || event.ctrlKey) return;
+        const lines = event.deltaMode ? 16 : 1; // pixels, or lines of text
+        // At the end of the picture, the page scrolls on.
+        if (this.move(lines * event.deltaX, lines * event.deltaY)) event.preventDefault();
+      },
+      { passive: false },
+    );
+  }
+
+  key(event) {
+    const way = { PageUp: -1, PageDown: 1 }[event.key];
+    if (!way || this.magnification === 1) return super.key(event);
+    event.preventDefault();
+    this.move(0, (way * this.height) / 4);
   }
 
   redraw() {
-    this.axes.y.range = zoomed.checked ? this.layer : this.whole.y;
-    this.axes.x.range = this.window();
+    this.aim();
+    if (!this.width) return;
     super.redraw();
     const { x, y } = this.axes;
     const stretch =
@@ -125,17 +232,13 @@ class ScanPlot extends Plot {
     if (!boundaries.checked || !lines.window) return [];
     const n = lines.window.length / this.entry.rows.length;
     const start = this.index * n;
-    const [low, high] = this.axes.y.range;
     const parts = [];
     for (const side of ["window", "sample"]) {
       const seen = [];
       const unseen = [];
       for (let i = 0; i < n; i++) {
         const depth = lines[side][start + i];
-        const inside = depth >= low && depth <= high;
-        const at = x[0] + i * x[1];
-        const across = at >= this.axes.x.range[0] - x[1] && at <= this.axes.x.range[1] + x[1];
-        const point = [this.toX(at), inside && across ? this.toY(depth) : NaN];
+        const point = [this.toX(x[0] + i * x[1]), this.toY(depth)];
         const filled = (k) => lines.filled[start + clamp(k, 0, n - 1)];
         seen.push(filled(i) ? [NaN, NaN] : point);
         // One pixel more on either side, so that no gap is left between the two.
@@ -146,6 +249,12 @@ class ScanPlot extends Plot {
         svg("path", { class: `boundary ${side}`, d: path(seen) }),
       );
     }
-    return parts;
+    // Of an enlarged part, the lines end at the frame.
+    const frame = svg("clipPath", { id: `frame-${this.state}` });
+    const [left, top] = [MARGIN.left, MARGIN.top];
+    frame.append(svg("rect", { x: left, y: top, width: this.width, height: this.height }));
+    const drawn = svg("g", { "clip-path": `url(#frame-${this.state})` });
+    drawn.append(...parts);
+    return [frame, drawn];
   }
 }

@@ -67,6 +67,26 @@ class Grid {
     return i < 0 || j < 0 || i >= this.nx || j >= this.ny ? NaN : this.values[j * this.nx + i];
   }
 
+  // Interpolated between the centres of pixels, as the profiles of results are: NaN beyond the
+  // outermost, and where one of the four around has no value. States are those of the nearest.
+  between(x, y) {
+    if (this.values instanceof Uint8Array || this.nx < 2 || this.ny < 2) return this.at(x, y);
+    const find = (at, first, step, n) => {
+      const place = (at - first) / step;
+      if (place < -1e-6 || place > n - 1 + 1e-6) return [NaN, NaN];
+      const k = clamp(Math.floor(place), 0, n - 2);
+      return [k, clamp(place - k, 0, 1)];
+    };
+    const [i, right] = find(x, this.x0, this.dx, this.nx);
+    const [j, up] = find(y, this.y0, this.dy, this.ny);
+    if (!Number.isFinite(i + j)) return NaN;
+    const row = (k) => {
+      const [a, b] = this.values.subarray(k * this.nx + i, k * this.nx + i + 2);
+      return a + right * (b - a);
+    };
+    return row(j) + up * (row(j + 1) - row(j));
+  }
+
   // Values along an axis through a place: [position, value] pairs.
   along(axis, place) {
     const pairs = [];
@@ -84,6 +104,20 @@ function shown(value, units = "") {
   if (!Number.isFinite(value)) return "no value";
   const digits = Number(value.toPrecision(4)).toString().replace("-", "\u2212");
   return units ? `${digits}\u202f${units}` : digits;
+}
+
+// To the digits that its error leaves, two of the error, with that error; else to three digits.
+function rounded(value, error) {
+  if (!Number.isFinite(value)) return ["no value", ""];
+  if (!(error > 0)) return [shown(Number(value.toPrecision(3))), ""];
+  const two = Number(error.toPrecision(2));
+  const place = 1 - Math.floor(Math.log10(two));
+  const written = (v) => {
+    const whole = 10 ** -place;
+    const kept = place < 0 ? Math.round(v / whole) * whole : v;
+    return kept.toFixed(clamp(place, 0, 20)).replace("-", "\u2212");
+  };
+  return [written(value), `\u00a0\u00b1\u00a0${written(two)}`];
 }
 
 // Numbers with as many decimals each as tell steps of a size apart, less zeros that all end in.

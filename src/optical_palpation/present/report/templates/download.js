@@ -32,11 +32,42 @@ function shapeTable(stage) {
       .map((v) => (typeof v === "number" ? (Number.isFinite(v) ? v.toPrecision(6) : "") : v))
       .join(","),
   );
-  return `${[names.join(",") + ",force (mN)", ...rows].join("\n")}\n`;
+  names.push("force (mN)", `error of the mean (${units})`, "error of the force (mN)");
+  return `${[names.join(","), ...rows].join("\n")}\n`;
+}
+
+const LONGEST = 640; // pixels of the frame of a picture, half of those of a PNG
+const SHORTEST = 100; // of a strip: room for the scale bar
+
+// Overlap of two ranges; the first where there is none.
+function overlap(a, b) {
+  const [low, high] = [Math.max(a[0], b[0]), Math.min(a[1], b[1])];
+  return low < high ? [low, high] : a;
+}
+
+// Draw the large map with a frame of its own, which on the page is common to all maps and may leave
+// room around this one; then call `use`, and draw the page as before.
+function alone(stage, use) {
+  const { axes, width, height, canvas } = stage;
+  const { extent } = stage.grid;
+  const x = overlap(axes.x.range, extent.x);
+  const y = overlap(axes.y.range, extent.y);
+  const sides = [x[1] - x[0], y[1] - y[0]];
+  const scale = Math.max(LONGEST / Math.max(...sides), SHORTEST / Math.min(...sides));
+  [stage.width, stage.height] = sides.map((side) => Math.round(scale * side));
+  stage.axes = { x: { ...axes.x, range: x }, y: { ...axes.y, range: y } };
+  stage.canvas = element("canvas", { width: 2 * stage.width, height: 2 * stage.height });
+  stage.redraw();
+  const made = use();
+  Object.assign(stage, { axes, width, height, canvas });
+  stage.redraw();
+  return made;
 }
 
 // The large map with axes, colour bar and title, as a picture that stands alone.
-function picture(stage) {
+const picture = (stage) => alone(stage, () => drawing(stage));
+
+function drawing(stage) {
   const [width, height] = [stage.width + 150, stage.height + 80];
   const { scale } = stage;
   const whole = svg("svg", { viewBox: `0 0 ${width} ${height}`, width, height });

@@ -20,6 +20,8 @@ async function build() {
   document.getElementById("stage").append(stage.figure);
   linkDownloads(stage);
   cursor.move({ x: middle(x), y: middle(y) });
+  stage.fit();
+  addEventListener("resize", () => stage.refit());
   await drawn();
   performance.mark("first-map");
 
@@ -91,6 +93,7 @@ function linkScans(scans) {
     label.textContent = `y ${millimetres(main.entry.y[index])}`;
     slider.setAttribute("aria-valuetext", `B-scan ${main.output.textContent}`);
   });
+  zoomed.addEventListener("input", () => scans.forEach((plot) => (plot.dragged = null)));
   for (const input of [boundaries, zoomed, magnified]) {
     input.addEventListener("input", () => scans.forEach((plot) => plot.redraw()));
   }

@@ -191,29 +191,31 @@ class Plot {
     })) {
       host.setAttribute(key, value);
     }
-    const go = (event) => {
-      const box = this.svg.getBoundingClientRect();
-      const shares = {
-        x: (event.clientX - box.left - MARGIN.left) / this.width,
-        y: (event.clientY - box.top - MARGIN.top) / this.height,
-      };
-      if (!this.axes.y.down) shares.y = 1 - shares.y;
-      const target = {};
-      for (const [direction, axis] of Object.entries(this.moves)) {
-        const [low, high] = this.axes[direction].range;
-        if (axis) target[axis] = low + clamp(shares[direction], 0, 1) * (high - low);
-      }
-      cursor.move(target);
-    };
     host.addEventListener("pointerdown", (event) => {
       if (event.button !== 0) return;
       host.setPointerCapture(event.pointerId);
-      go(event);
+      this.point(event);
     });
     host.addEventListener("pointermove", (event) => {
-      if (host.hasPointerCapture(event.pointerId)) go(event);
+      if (host.hasPointerCapture(event.pointerId)) this.point(event);
     });
     host.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  // Move the cursor to where the pointer is.
+  point(event) {
+    const box = this.svg.getBoundingClientRect();
+    const shares = {
+      x: (event.clientX - box.left - MARGIN.left) / this.width,
+      y: (event.clientY - box.top - MARGIN.top) / this.height,
+    };
+    if (!this.axes.y.down) shares.y = 1 - shares.y;
+    const target = {};
+    for (const [direction, axis] of Object.entries(this.moves)) {
+      const [low, high] = this.axes[direction].range;
+      if (axis) target[axis] = low + clamp(shares[direction], 0, 1) * (high - low);
+    }
+    cursor.move(target);
   }
 
   key(event) {

@@ -4,6 +4,8 @@ const controls = Object.fromEntries(
   [...document.querySelectorAll("#stage-controls [id]")].map((e) => [e.id.replace("stage-", ""), e]),
 );
 
+const LEAST = 384; // pixels along the longer side of the large map, if the screen has them
+
 class Stage extends MapPlot {
   constructor(grids, masks, field, redrawAll) {
     const name = data.stage[0];
@@ -42,10 +44,32 @@ class Stage extends MapPlot {
     this.turnTo(name);
   }
 
+  // As wide as lets the whole map be on the first screen; where little room is left, it must be
+  // large enough all the same.
+  fit() {
+    this.fitted = { width: innerWidth, height: innerHeight };
+    const least = LEAST / Math.max(1, this.aspect);
+    for (let pass = 0; pass < 3; pass++) { // the caption of a narrower figure may take more lines
+      this.resize();
+      const box = this.figure.getBoundingClientRect();
+      const [beside, around] = [box.width - this.width, box.height - this.height];
+      const room = innerHeight - (box.top + scrollY) - around - 8;
+      const wide = Math.floor(Math.max(room / this.aspect + beside, least));
+      document.documentElement.style.setProperty("--map", `${wide}px`);
+    }
+  }
+
+  // Not where only the bar of a phone's browser comes and goes: the map would change its size under
+  // the finger.
+  refit() {
+    const { width, height } = this.fitted;
+    if (!printing && (innerWidth !== width || Math.abs(innerHeight - height) > 120)) this.fit();
+  }
+
   // Show another map, as soon as its values are there.
   async choose(name) {
     const [grid, mask] = [this.grids[name], this.masks[data.maps[name].mask]];
-    await loaded([grid, mask]);
+    await loaded([grid, mask, this.grids[data.maps[name].error]]);
     if (controls.map.value === name) this.turnTo(name); // no other was chosen meanwhile
   }
 
@@ -64,7 +88,12 @@ class Stage extends MapPlot {
 
   recolour() {
     super.recolour();
-    if (!this.scale) return;
+    if (!this.scale) {
+      // states have no limits, and those of the map before would be read as theirs
+      for (const key of ["low", "high", "colours"]) controls[key].value = "";
+      document.getElementById("stage-units").textContent = "";
+      return;
+    }
     controls.colours.value = this.scale.colours;
     for (const end of ["low", "high"]) {
       const span = this.scale.high - this.scale.low;
@@ -175,7 +204,16 @@ class Stage extends MapPlot {
     this.follow();
   }
 
-  // Share of a rectangle in each pixel; or places along a line, a pixel apart.
+  // Error of the map at a place where it has a value; NaN where none is known.
+  errorAt(value, x, y, how = "at") {
+    const grid = this.grids[this.entry.error];
+    if (!grid?.values) return NaN;
+    const error = grid[how](x, y);
+    return this.entry.relative ? error * Math.abs(value) : error;
+  }
+
+  // Value, weight and error: in each pixel the share of a rectangle; or of places along a line, a
+  // pixel apart, where the distance from its start follows.
   weighted({ kind, points: [a, b] }) {
     const { nx, ny, x0, dx, y0, dy, values } = this.grid;
     const found = [];
@@ -183,7 +221,9 @@ class Stage extends MapPlot {
       const n = Math.max(2, Math.ceil(Math.hypot(b[0] - a[0], b[1] - a[1]) / Math.min(dx, dy)) + 1);
       for (let k = 0; k < n; k++) {
         const at = a.map((v, axis) => v + (k / (n - 1)) * (b[axis] - v));
-        found.push([this.grid.at(...at), 1, (k / (n - 1)) * Math.hypot(b[0] - a[0], b[1] - a[1])]);
+        const value = this.grid.between(...at);
+        const distance = (k / (n - 1)) * Math.hypot(b[0] - a[0], b[1] - a[1]);
+        found.push([value, 1, this.errorAt(value, ...at, "between"), distance]);
       }
       return found;
     }
@@ -194,7 +234,9 @@ class Stage extends MapPlot {
       if (!inY) continue;
       for (let i = 0; i < nx; i++) {
         const weight = inY * share(x0 + i * dx, dx, a[0], b[0]);
-        if (weight) found.push([values[j * nx + i], weight]);
+        if (!weight) continue;
+        const value = values[j * nx + i];
+        found.push([value, weight, this.errorAt(value, x0 + i * dx, y0 + j * dy)]);
       }
     }
     return found;
@@ -205,11 +247,16 @@ class Stage extends MapPlot {
     const seen = this.weighted(shape).filter(([value]) => Number.isFinite(value));
     const total = seen.reduce((sum, [, w]) => sum + w, 0);
     const mean = seen.reduce((sum, [v, w]) => sum + v * w, 0) / total;
+    // An error may be common to all pixels: its mean bounds that of the mean.
+    const known = seen.filter(([, , error]) => Number.isFinite(error));
+    const counted = known.reduce((sum, [, w]) => sum + w, 0);
+    const error = known.reduce((sum, [, w, e]) => sum + e * w, 0) / counted;
     const square = seen.reduce((sum, [v, w]) => sum + w * (v - mean) ** 2, 0) / total;
     const inner = seen.filter(([, w]) => w >= 0.5).map(([v]) => v);
     const extremes = inner.length ? inner : seen.map(([v]) => v);
     const line = shape.kind === "line";
     const pixel = this.grid.dx * this.grid.dy;
+    const forced = !line && this.entry.force;
     return {
       shape: shape.kind,
       x0: a[0],
@@ -221,7 +268,9 @@ class Stage extends MapPlot {
       deviation: Math.sqrt(square),
       lowest: extremes.reduce((p, q) => Math.min(p, q), Infinity),
       highest: extremes.reduce((p, q) => Math.max(p, q), -Infinity),
-      force: !line && this.entry.force ? this.entry.force * mean * total * pixel : NaN,
+      force: forced ? this.entry.force * mean * total * pixel : NaN,
+      meanError: error,
+      forceError: forced ? error * total * pixel : NaN,
     };
   }
 
@@ -231,7 +280,8 @@ class Stage extends MapPlot {
     const body = document.querySelector("#shapes tbody");
     document.getElementById("shapes").hidden = !this.shapes.length;
     document.getElementById("shapes-caption").textContent =
-      this.entry.title + (units ? `, ${units}` : "");
+      this.entry.title + (units ? `, ${units}` : "") + (this.entry.error ? "; errors are upper bounds" : "");
+    document.getElementById("shapes-mean").textContent = this.entry.error ? "Mean \u00b1 error" : "Mean";
     // The read-out has the digits of the map; what is drawn by hand has fewer.
     const few = (value, unit) => shown(Number(value.toPrecision(3)), unit);
     body.replaceChildren(
@@ -240,13 +290,17 @@ class Stage extends MapPlot {
         const size = shape.kind === "line" ? "mm" : "mm\u00b2";
         const gone = element("button", { type: "button", "aria-label": `Remove ${k + 1}` }, "\u00d7");
         gone.addEventListener("click", () => this.remove((_, n) => n === k));
+        // What has no error of its own has no more digits than the mean.
+        const like = (value) => rounded(value, s.meanError)[0];
+        const force = Number.isFinite(s.force) ? rounded(s.force, s.forceError).join("") : "";
         const cells = [
           `${k + 1} ${s.shape}`,
           few(s.size, size),
-          `${few(s.mean)} \u00b1 ${shown(Number(s.deviation.toPrecision(2)))}`,
-          few(s.lowest),
-          few(s.highest),
-          Number.isFinite(s.force) ? few(s.force, "mN") : "",
+          rounded(s.mean, s.meanError).join(""),
+          like(s.deviation),
+          like(s.lowest),
+          like(s.highest),
+          force && `${force}\u202fmN`,
         ].map((text, n) => element(n ? "td" : "th", n ? {} : { scope: "row" }, text));
         return element("tr", {}, ...cells, element("td", {}, gone));
       }),
@@ -260,7 +314,7 @@ class Stage extends MapPlot {
     const target = document.getElementById("course");
     target.hidden = !last || !this.scale;
     if (target.hidden) return;
-    const points = this.weighted(last).map(([value, , at]) => [at, value]);
+    const points = this.weighted(last).map(([value, , error, at]) => [at, value, error]);
     const label = `${this.entry.title}${this.scale.units ? ` (${this.scale.units})` : ""}`;
     target.replaceChildren(new CoursePlot(points, label).figure);
   }
@@ -274,7 +328,8 @@ class Stage extends MapPlot {
     if (!this.width) return;
     const parts = [];
     for (const { name: label, outlines } of this.regions) {
-      for (const outline of outlines) parts.push(...this.outline(outline, true, label));
+      // holes and islands are not named again
+      outlines.forEach((outline, k) => parts.push(...this.outline(outline, true, k ? "" : label)));
     }
     [...this.shapes, ...(this.draft ? [this.draft] : [])].forEach(({ kind, points: [a, b] }, k) => {
       const corners = kind === "line" ? [a, b] : [a, [b[0], a[1]], b, [a[0], b[1]]];
@@ -325,7 +380,13 @@ class Stage extends MapPlot {
 class CoursePlot extends Plot {
   constructor(points, label) {
     const values = points.map(([, v]) => v).filter(Number.isFinite);
-    const [low, high] = [Math.min(...values), Math.max(...values)];
+    let [low, high] = [Math.min(...values), Math.max(...values)];
+    const ends = points.flatMap(([, v, e]) => [v - e, v + e]).filter(Number.isFinite);
+    // With the error band, unless that dwarfs the values.
+    [low, high] = [
+      Math.min(low, Math.max(Math.min(...ends), 2 * low - high)),
+      Math.max(high, Math.min(Math.max(...ends), 2 * high - low)),
+    ];
     const margin = 0.06 * (high - low) || 1;
     super(
       {
@@ -344,7 +405,21 @@ class CoursePlot extends Plot {
 
   follow() {
     if (!this.width) return;
-    const d = path(this.points.map(([x, y]) => [this.toX(x), this.toY(y)]));
-    this.overlay.replaceChildren(svg("path", { class: "curve computational", d }));
+    const [low, high] = this.axes.y.range;
+    const curve = path(this.points.map(([x, y]) => [this.toX(x), this.toY(y)]));
+    // Cut at gaps, across which no band may run.
+    const runs = [[]];
+    for (const [x, y, e] of this.points) {
+      if (Number.isFinite(y + e)) runs.at(-1).push([x, y, e]);
+      else runs.push([]);
+    }
+    const edge = (run, sign) =>
+      run.map(([x, y, e]) => [this.toX(x), this.toY(clamp(y + sign * e, low, high))]);
+    const around = runs.filter((run) => run.length > 1);
+    const d = around.map((run) => `${path([...edge(run, 1), ...edge(run, -1).reverse()])}Z`).join("");
+    this.overlay.replaceChildren(
+      ...(d ? [svg("path", { class: "band computational", d })] : []),
+      svg("path", { class: "curve computational", d: curve }),
+    );
   }
 }
