@@ -139,6 +139,14 @@ def test_report_of_a_result(here, run):
     assert run("report", "a.nc", "--output", "r.txt")[0] == 2
 
 
+def test_a_report_is_headed_by_what_says_something(here, run):
+    (here / "coin-results").mkdir()
+    shutil.copy(here / "a.nc", here / "coin-results" / "stress.nc")
+    for result, heading in (("a.nc", "a"), ("coin-results/stress.nc", "coin: stress")):
+        assert run("report", result, "--output", "r.html")[0] == 0
+        assert f"<title>{heading}" in (here / "r.html").read_text()
+
+
 def test_results_for_other_programs(here, run):
     names = ["o.mat", "o.tif", "o.csv", "o.png"]
     status, out, err = run("convert", "a.nc", *(f"--output={name}" for name in names))

@@ -411,6 +411,15 @@ def test_two_results_are_compared_with_their_errors():
     assert "difference_error" not in without
 
 
+def test_an_error_that_is_missing_does_not_spread():
+    first, second = maps_of(bumps, error=0.3), maps_of(bumps, error=0.4)
+    second["axial_stress_error"][5, 7] = np.nan
+    found = compare_results({"before": first, "after": second})["difference_error"].sel(
+        compared="after"
+    )
+    assert int(found.isnull().sum()) == 1
+
+
 def test_registration_takes_a_shift_back():
     first = with_thickness(maps_of(bumps))
     shifted = with_thickness(maps_of(lambda x, y: bumps(x - 0.3, y + 0.1)))

@@ -212,6 +212,17 @@ def _study_name(folder: Path) -> str:
     return name or folder.name
 
 
+def _heading(result: Path) -> str:
+    """What to call a result alone: by its file, unless that says nothing, by its folder."""
+    whole = result.resolve()
+    if os.path.isdir(whole):
+        return _study_name(whole)
+    folder = _study_name(whole.parent)
+    return (
+        f"{folder}: {whole.stem}" if whole.stem in ("stress", "result") and folder else whole.stem
+    )
+
+
 def report(
     result: _Result,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Report (.html).")],
@@ -249,7 +260,7 @@ def report(
         volumes=None,
         parameters={},
         python=f"import optical_palpation as op\n\nresult = op.read_result({path!r})\n",
-        title=title or next(iter(_named([result]))),
+        title=title or _heading(result),
         warnings=study.warnings_about(one),
         others=others,
         regions=read_regions(regions, one.maps) if regions else (),
