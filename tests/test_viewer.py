@@ -425,3 +425,44 @@ def test_a_study_of_a_number_and_a_volume_is_shown_as_it_is(panel, study):
     assert session.tables["unloaded"] == {"thickness": 0.44}
     assert session.tables["grid"]["element_size"] == [0.2, 0.25, 0.1]
     assert session.tables["friction"] == {"window": "glued", "sample": 0.1, "slip_length": 0.001}
+
+
+def test_the_extent_of_the_layer_is_typed_and_kept(panel, study, tmp_path):
+    panel.open_study(str(study))
+    fields = panel.measurement.extent
+    assert [field.text() for field in fields.values()] == [""] * 4
+    panel.solving.solve(estimates=False)
+    wait_idle(panel)
+    whole = panel.bench.result.maps
+    assert "layer" not in panel.bench.session.tables
+    fields["x0"].setText("0.3")
+    panel.solving.solve()
+    assert "four numbers of mm, x0, x1, y0, y1" in panel.message.text()
+    for edge, text in {"x1": "1.2", "y0": "0.15", "y1": "1.05"}.items():
+        fields[edge].setText(text)
+    panel.solving.solve(estimates=False)
+    wait_idle(panel)
+    part = panel.bench.result.maps
+    assert not whole["axial_stress"].equals(part["axial_stress"])
+    for axis, low, high in (("x", 0.3, 1.2), ("y", 0.15, 1.05)):
+        there = part["axial_stress"].dropna(axis, how="all")[axis]
+        assert low - 1e-9 <= float(there[0]) <= float(there[-1]) <= high + 1e-9
+
+    panel.save_study(str(tmp_path / "part.toml"))
+    saved = read_study(tmp_path / "part.toml")
+    assert tuple(saved.layer.extent) == (0.3, 1.2, 0.15, 1.05)
+    panel.open_study(str(study))
+    assert [field.text() for field in fields.values()] == [""] * 4
+    panel.open_study(str(tmp_path / "part.toml"))
+    assert [field.text() for field in fields.values()] == ["0.3", "1.2", "0.15", "1.05"]
+    # solved as it is changed, too
+    panel.solving.live.setChecked(True)
+    wait(lambda: panel.bench.result is not None and not panel.bench.background.is_busy)
+    before = panel.bench.result
+    for field in fields.values():
+        field.clear()
+    fields["y1"].editingFinished.emit()
+    wait(lambda: panel.bench.result is not before and not panel.bench.background.is_busy)
+    assert panel.bench.session.tables["layer"] == {}
+    again = panel.bench.result.maps["axial_stress"]
+    assert np.array_equal(again.values, whole["axial_stress"].values)

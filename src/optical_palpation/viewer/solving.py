@@ -98,6 +98,7 @@ class Solving(QGroupBox):
         self.law.currentTextChanged.connect(self._show_law)
         self.edges.currentTextChanged.connect(lambda _: self._changed())
         self.live.toggled.connect(lambda on: self._changed() if on else None)
+        measurement.changed.connect(self._changed)
         bench.opened.connect(self._show)
         bench.background.failed.connect(lambda _: self.outcome.setText("no stress: see below"))
         self._show_law()
