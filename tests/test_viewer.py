@@ -466,3 +466,34 @@ def test_the_extent_of_the_layer_is_typed_and_kept(panel, study, tmp_path):
     assert panel.bench.session.tables["layer"] == {}
     again = panel.bench.result.maps["axial_stress"]
     assert np.array_equal(again.values, whole["axial_stress"].values)
+
+
+def test_regions_that_are_loaded_come_to_those_that_were_drawn(panel, study, tmp_path):
+    panel.open_study(str(study))
+    panel.solving.solve(estimates=False)
+    wait_idle(panel)
+    maps = panel.bench.result.maps
+    panel.regions.draw("add_ellipse")
+    drag(panel.bench.viewer, (0.3, 0.3), (0.6, 0.6))
+    shown = layer(panel, "regions")
+    # a ring with a pixel that touches it at a corner, and a second label
+    labels = np.zeros(maps["axial_stress"].shape, np.uint8)
+    labels[1:4, 1:4] = labels[4, 4] = 1
+    labels[2, 2] = 0
+    labels[1:3, 5:7] = 2
+    np.save(tmp_path / "labels.npy", labels)
+    for _ in range(2):
+        panel.regions.load(tmp_path / "labels.npy")
+    assert layer(panel, "regions") is shown
+    assert shown.shape_type[0] == "ellipse"
+    regions = panel.regions.regions()
+    names = ["region 1", "label 1", "label 2", "label 1 2", "label 2 2"]
+    assert [region.name for region in regions] == names
+    for region, number in zip(regions[1:], (1, 2, 1, 2), strict=True):
+        assert np.array_equal(region.weights(maps["axial_stress"]), labels == number)
+    table = panel.regions.table
+    assert [table.verticalHeaderItem(row).text() for row in range(table.rowCount())] == names
+    for row, number in ((1, 1), (2, 2), (3, 1)):
+        mean = float(maps["axial_stress"].values[labels == number].mean())
+        said = float(table.item(row, 0).text().replace("\u2212", "-"))
+        assert said == pytest.approx(mean, rel=0.006)
