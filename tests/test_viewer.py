@@ -497,3 +497,49 @@ def test_regions_that_are_loaded_come_to_those_that_were_drawn(panel, study, tmp
         mean = float(maps["axial_stress"].values[labels == number].mean())
         said = float(table.item(row, 0).text().replace("\u2212", "-"))
         assert said == pytest.approx(mean, rel=0.006)
+
+
+def test_a_result_is_compared_with_another(panel, study, tmp_path, monkeypatch):
+    from qtpy.QtWidgets import QFileDialog, QPushButton
+
+    file = tmp_path / "before.nc"
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_, **__: (str(file), ""))
+    button = next(
+        b for b in panel.solving.findChildren(QPushButton) if b.text() == "Compare with…"
+    )
+    button.click()
+    assert "solve first" in panel.message.text()
+    panel.open_study(str(study))
+    panel.solving.solve()
+    wait_idle(panel)
+    button.click()
+    assert panel.message.text() == f"{file}: no such file"
+    before = panel.bench.result
+    before.save(file)
+    panel.solving.numbers["friction.window"].set(0.3)
+    panel.solving.solve()
+    wait_idle(panel)
+    now = panel.bench.result
+    button.click()
+    shown = {it.name: it for it in panel.bench.layers("map") if "less this" in it.name}
+    assert set(shown) == {
+        "before.nc less this: Difference (kPa)",
+        "before.nc less this: Error of the difference (kPa)",
+    }
+    difference = before.maps["axial_stress"].values - now.maps["axial_stress"].values
+    error = np.hypot(*(it.maps["axial_stress_error"].values for it in (before, now)))
+    for name, values in (("Difference", difference), ("Error of the difference", error)):
+        layer_of_it = shown[f"before.nc less this: {name} (kPa)"]
+        np.testing.assert_allclose(layer_of_it.data, values, rtol=1e-5, atol=1e-6)
+        assert layer_of_it.visible == (name == "Difference")
+    said = panel.message.text()
+    rms = np.sqrt(np.nanmean(difference**2))
+    assert f"rms difference {rms:.3g} kPa" in said
+    known = np.isfinite(error) & np.isfinite(difference)
+    within = 100 * np.mean(np.abs(difference[known]) <= error[known])
+    share = re.search(r"([\d.]+) % of the map within the error", said)
+    assert float(share[1]) == pytest.approx(within, rel=0.01)
+    # it is one with a stress that is shown
+    panel.solving.solve(estimates=False)
+    wait_idle(panel)
+    assert not [it for it in panel.bench.layers("map") if "less this" in it.name]

@@ -7,14 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from napari.layers import Layer as NapariLayer
 from qtpy.QtCore import QObject, Signal
 
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.viewer.background import Background
-from optical_palpation.viewer.layers import KEY, Layer, volume_layer
+from optical_palpation.viewer.layers import KEY, Layer, map_layers, volume_layer
 from optical_palpation.viewer.session import SIDES, Session
 
+_DIFFERENCE = ("difference_error", "difference")
 _IN_VOLUMES = ("volume", "boundary", "anchors")
 
 
@@ -84,6 +86,37 @@ class Workbench(QObject):
                 new.metadata[KEY]["limits"] = tuple(new.contrast_limits)
             shown.append(new)
         return shown
+
+    def show_difference(self, found: xr.Dataset) -> None:
+        """Show the one difference of a comparison, and its error where it has one.
+
+        Parameters
+        ----------
+        found
+            As from :func:`~optical_palpation.analysis.compare_results`, of two results.
+        """
+        self.forget_difference()
+        fields = found.isel(compared=0, drop=True)
+        other = str(found["compared"].values[0])
+        # the one that is seen comes last
+        layers = map_layers(fields, f"{other} less this: ", only=_DIFFERENCE)
+        for layer in layers:
+            layer.keywords["metadata"][KEY]["comparison"] = True
+        self.show(layers)
+        self.raise_regions()
+        self.view_maps([layers[-1].keywords["name"]])
+
+    def forget_difference(self) -> None:
+        """Remove the comparison, which is one with a stress that is no longer shown."""
+        for layer in list(self.layers("map")):
+            if layer.metadata[KEY].get("comparison"):
+                self.viewer.layers.remove(layer)
+
+    def raise_regions(self) -> None:
+        """Put the regions over maps that were not there before."""
+        layers = self.viewer.layers
+        for drawn in list(self.layers("regions")):
+            layers.move(layers.index(drawn), len(layers))
 
     def view_bscans(self, side: str) -> None:
         """Show the B-scans of a volume with what was found in it."""
