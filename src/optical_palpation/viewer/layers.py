@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from optical_palpation.analysis import Region
 from optical_palpation.errors import InputError
 from optical_palpation.present.figure import colour_map
-from optical_palpation.present.terms import STATES, common_limits, is_map, term
+from optical_palpation.present.terms import STATE_NUMBERS, STATES, common_limits, is_map, term
 from optical_palpation.thickness import Corrections
 from optical_palpation.thickness.corrections import Anchor, Boundary, Exclusion
 from optical_palpation.volume import Volume, VolumeMetadata
@@ -214,13 +214,14 @@ def map_layers(
         groups.setdefault(terms[name].scale, {})[name] = maps[name]
     layers = []
     for name in names:
-        field, about = maps[name].transpose("y", "x"), terms[name]
+        field, about, label = maps[name].transpose("y", "x"), terms[name], terms[name].label
         y, x = field["y"].values, field["x"].values
         steps = [float(v[-1] - v[0]) / (v.size - 1) if v.size > 1 else 1.0 for v in (y, x)]
         colours: dict[str, Any] | str
         if about.colours == "states":
             limits = -0.5, len(STATES) - 0.5
             colours = _steps(list(STATES.values()), name)
+            label += f" ({STATE_NUMBERS})"  # napari's colour bar has numbers alone
         elif about.colours == "flags":
             limits = -0.5, 1.5
             colours = _steps(["#DDDDDD", COLOURS["filled"]], name)
@@ -228,7 +229,7 @@ def map_layers(
             limits = common_limits(groups[about.scale], about.colours)
             colours = _continuous(about.colours)
         keywords = {
-            "name": f"{prefix}{about.label}",
+            "name": f"{prefix}{label}",
             "scale": steps,
             "translate": [float(y[0]), float(x[0])],
             "units": _MM[2],
