@@ -102,6 +102,7 @@ def test_the_manifest_is_valid():
     assert {reader.command for reader in manifest.contributions.readers} == {
         "optical-palpation.read_volume",
         "optical-palpation.read_maps",
+        "optical-palpation.open_study",
     }
 
 
@@ -543,3 +544,38 @@ def test_a_result_is_compared_with_another(panel, study, tmp_path, monkeypatch):
     panel.solving.solve(estimates=False)
     wait_idle(panel)
     assert not [it for it in panel.bench.layers("map") if "less this" in it.name]
+
+
+def drop(viewer, path):
+    """Drop a file on the canvas."""
+    from qtpy.QtCore import QMimeData, QPointF, Qt, QUrl
+    from qtpy.QtGui import QDropEvent
+
+    mime = QMimeData()
+    mime.setUrls([QUrl.fromLocalFile(str(path))])
+    left, none = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+    copy = Qt.DropAction.CopyAction
+    viewer.window._qt_viewer.dropEvent(QDropEvent(QPointF(50, 50), copy, mime, left, none))
+    pump()
+
+
+def test_a_dropped_study_is_opened_in_the_panel(viewer, study, tmp_path):
+    drop(viewer, study)
+    dock, panel = viewer.window.add_plugin_dock_widget("optical-palpation")
+    assert panel.message.text() == "opened study.toml"
+    assert {layer.name for layer in viewer.layers} == {"unloaded.npy", "loaded.npy"}
+    assert panel.solving.numbers["material.c10"].value() == 2.23
+    dock.hide()
+    (tmp_path / "bad.toml").write_text("[unloaded]\nthickness = -1\n")
+    drop(viewer, tmp_path / "bad.toml")
+    assert dock.isVisible()
+    assert "thickness" in panel.message.text()
+    panel.bench.session.close()
+
+
+def test_volumes_of_other_readers_are_named_with_what_to_do(panel, viewer):
+    viewer.add_image(np.zeros((4, 5, 6), np.float32), name="plain")
+    panel.measurement.find_layer()
+    assert "choose the loaded layer: plain came by another reader" in panel.message.text()
+    assert "Open volume" in panel.message.text()
+    assert panel.measurement.folded.isExpanded()

@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from napari.layers import Image
 from qtpy.QtCore import Signal
 from qtpy.QtWidgets import (
     QComboBox,
@@ -156,7 +157,7 @@ class Measurement(QGroupBox):
                     {f"{side}.{k}": v for k, v in own.items() if before.get(k, _USUAL[k]) != v}
                 )
             elif not session.input(side):
-                raise InputError(f"choose the {side} layer: drop its volume on napari first")
+                raise InputError(f"choose the {side} layer: {self._how_to_choose()}")
 
     def find_layer(self) -> None:
         """Find the layer in the volumes of the study, and show it."""
@@ -179,6 +180,21 @@ class Measurement(QGroupBox):
 
         session = bench.session
         bench.background.run(lambda tell: {side: session.find(side, tell) for side in sides}, then)
+
+    def _how_to_choose(self) -> str:
+        """What to do for a volume to be listed."""
+        foreign = [
+            layer.name
+            for layer in self._bench.viewer.layers
+            if isinstance(layer, Image) and layer.ndim > 2 and KEY not in layer.metadata
+        ]
+        if not foreign:
+            return "drop its volume on napari first"
+        self.folded.expand()
+        return (
+            f"{', '.join(foreign)} came by another reader of napari, which does not say in mm "
+            "where the samples lie; give what the file does not say above, then 'Open volume'"
+        )
 
     def _extent(self) -> list[float] | None:
         """Where the layer lies, x0, x1, y0, y1 in mm; None for the whole field of view."""

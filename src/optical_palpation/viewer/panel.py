@@ -85,6 +85,10 @@ class Panel(QWidget):
         self.bench.take_up(Session.open(path))
         self._say(f"opened {Path(path).name}")
 
+    def try_open_study(self, path: str) -> None:
+        """Take up a study file, and say what is wrong with one that cannot be used."""
+        self._try(self.open_study, path)
+
     def save_study(self, path: str) -> None:
         """Write what was done as a study file, which ``optical-palpation run`` repeats.
 
@@ -121,7 +125,7 @@ class Panel(QWidget):
 
     def _ask_to_open(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Study", filter="*.toml")
-        self._try(self.open_study, path)
+        self.try_open_study(path)
 
     def _ask_to_save(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Study", "study.toml", filter="*.toml")
