@@ -360,6 +360,7 @@ def test_a_computation_can_be_cancelled_and_the_window_stays_alive(panel, study)
     panel.cancel.click()
     wait(lambda: not panel.bench.background.is_busy)
     assert panel.bench.result is None
+    assert panel.message.text() == "cancelled"
     assert not panel.cancel.isEnabled()
     assert not list(panel.bench.layers("regions"))
     # what comes next is not harmed
@@ -367,6 +368,14 @@ def test_a_computation_can_be_cancelled_and_the_window_stays_alive(panel, study)
     panel.solving.solve()
     wait_idle(panel)
     assert panel.bench.result is not None
+    assert panel.message.text() == ""
+    figures = panel.solving.outcome.text()
+    panel.solving.numbers["friction.window"].set(0.3)
+    panel.solving.solve()
+    panel.cancel.click()
+    wait(lambda: not panel.bench.background.is_busy)
+    assert panel.message.text() == "cancelled; the figures are those of the last solution"
+    assert panel.solving.outcome.text() == figures
 
 
 def test_only_the_last_of_many_changes_is_solved(panel):

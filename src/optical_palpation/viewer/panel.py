@@ -61,7 +61,8 @@ class Panel(QWidget):
         self.bar = QProgressBar()
         self.bar.setRange(0, 1000)
         self.cancel = QPushButton("Cancel")
-        self.cancel.clicked.connect(lambda: bench.background.cancel())
+        self.cancel.clicked.connect(self._stop)
+        self._stopped = False
         row = QHBoxLayout()
         row.addWidget(self.bar, 1)
         row.addWidget(self.cancel)
@@ -116,12 +117,21 @@ class Panel(QWidget):
         self.bar.setFormat(f"{stage}: %p%")
         self.bar.setValue(round(1000 * share))
 
+    def _stop(self) -> None:
+        self._stopped = True
+        self.bench.background.cancel()
+
     def _busy(self, busy: bool) -> None:
+        stopped, self._stopped = self._stopped and not busy, False
         self.cancel.setEnabled(busy)
         self.bar.setValue(0)
         self.bar.setFormat("starting" if busy else "")
         if busy:
             self.message.setText("")
+        elif stopped and self.bench.result is not None:
+            self._say("cancelled; the figures are those of the last solution")
+        elif stopped:
+            self._say("cancelled")
 
     def _ask_to_open(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Study", filter="*.toml")
