@@ -18,7 +18,7 @@ from optical_palpation.thickness import read_corrections, write_thickness_map
 from optical_palpation.viewer.layers import KEY
 from optical_palpation.viewer.session import Session
 from study_case import make_study, make_volumes
-from viewer_pictures import click, drag, pump, wait
+from viewer_pictures import click, drag, on_canvas, pump, wait
 
 pytest.importorskip("napari", reason="napari is not installed")
 
@@ -514,9 +514,7 @@ def test_a_result_is_compared_with_another(panel, study, tmp_path, monkeypatch):
 
     file = tmp_path / "before.nc"
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_, **__: (str(file), ""))
-    button = next(
-        b for b in panel.solving.findChildren(QPushButton) if b.text() == "Compare with…"
-    )
+    button = next(b for b in panel.solving.findChildren(QPushButton) if b.text() == "Compare with…")
     button.click()
     assert "solve first" in panel.message.text()
     panel.open_study(str(study))
@@ -531,15 +529,15 @@ def test_a_result_is_compared_with_another(panel, study, tmp_path, monkeypatch):
     wait_idle(panel)
     now = panel.bench.result
     button.click()
-    shown = {it.name: it for it in panel.bench.layers("map") if "less this" in it.name}
-    assert set(shown) == {
-        "before.nc less this: Difference (kPa)",
-        "before.nc less this: Error of the difference (kPa)",
-    }
+    names = {"Difference (kPa)", "Error of the difference (kPa)"}
+    shown = {it.name: it for it in panel.bench.layers("map") if it.name in names}
+    assert set(shown) == names
+    assert "before.nc less this" in panel.bench.viewer.canvas.overlays.text.text
+    assert shown["Error of the difference (kPa)"].contrast_limits[0] >= 0
     difference = before.maps["axial_stress"].values - now.maps["axial_stress"].values
     error = np.hypot(*(it.maps["axial_stress_error"].values for it in (before, now)))
     for name, values in (("Difference", difference), ("Error of the difference", error)):
-        layer_of_it = shown[f"before.nc less this: {name} (kPa)"]
+        layer_of_it = shown[f"{name} (kPa)"]
         np.testing.assert_allclose(layer_of_it.data, values, rtol=1e-5, atol=1e-6)
         assert layer_of_it.visible == (name == "Difference")
     said = panel.message.text()
@@ -552,7 +550,7 @@ def test_a_result_is_compared_with_another(panel, study, tmp_path, monkeypatch):
     # it is one with a stress that is shown
     panel.solving.solve(estimates=False)
     wait_idle(panel)
-    assert not [it for it in panel.bench.layers("map") if "less this" in it.name]
+    assert not [it for it in panel.bench.layers("map") if it.name in names]
 
 
 def drop(viewer, path):
@@ -588,3 +586,26 @@ def test_volumes_of_other_readers_are_named_with_what_to_do(panel, viewer):
     assert "choose the loaded layer: plain came by another reader" in panel.message.text()
     assert "Open volume" in panel.message.text()
     assert panel.measurement.folded.isExpanded()
+
+
+def test_the_map_that_is_seen_is_named_and_not_under_its_colour_bar(panel, study):
+    panel.open_study(str(study))
+    panel.solving.solve(estimates=False)
+    wait_idle(panel)
+    bench, viewer = panel.bench, panel.bench.viewer
+    text = viewer.canvas.overlays.text
+    assert (text.visible, text.text) == (True, "Axial stress, computational (kPa)")
+    stress = next(it for it in bench.layers("map") if it.name == text.text)
+    top, right = stress.extent.world[1] + stress.scale / 2  # y points up
+    for size in ((1400, 900), (1330, 820), (1000, 900), (1500, 600)):
+        viewer.window._qt_window.resize(*size)
+        pump(0.3)
+        bench.view_maps([stress.name])
+        pump()
+        corner = on_canvas(viewer, (top, right))
+        assert corner.y() > 165 or corner.x() < viewer.canvas.size[1] - 75, size
+    assert text.text == stress.name
+    bench.view_maps(["Contact with the window"])
+    assert text.text == "Contact with the window\n0 open, 1 slip, 2 stick, 3 glued"
+    next(it for it in bench.layers("map") if it.visible).visible = False
+    assert not text.visible

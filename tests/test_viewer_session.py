@@ -168,8 +168,8 @@ def test_maps_carry_units_and_those_of_a_kind_share_their_limits():
     assert computed.keywords["translate"] == [1.0, 0.0]
     assert np.array_equal(computed.data, maps()["axial_stress"].values.astype(np.float32))
     assert len(layers["contact_state"].keywords["colormap"]["colors"]) == len(STATES)
-    said = layers["contact_state"].keywords["name"]
-    assert said.endswith("Contact with the sample (0 open, 1 slip, 2 stick, 3 glued)")
+    said = layers["contact_state"].keywords["metadata"][KEY]["caption"]
+    assert said.endswith("Contact with the sample\n0 open, 1 slip, 2 stick, 3 glued")
 
 
 def test_regions_that_are_drawn_and_written_are_those_that_the_command_reads(tmp_path):

@@ -214,14 +214,15 @@ def map_layers(
         groups.setdefault(terms[name].scale, {})[name] = maps[name]
     layers = []
     for name in names:
-        field, about, label = maps[name].transpose("y", "x"), terms[name], terms[name].label
+        field, about = maps[name].transpose("y", "x"), terms[name]
+        caption = f"{prefix}{about.label}"
         y, x = field["y"].values, field["x"].values
         steps = [float(v[-1] - v[0]) / (v.size - 1) if v.size > 1 else 1.0 for v in (y, x)]
         colours: dict[str, Any] | str
         if about.colours == "states":
             limits = -0.5, len(STATES) - 0.5
             colours = _steps(list(STATES.values()), name)
-            label += f" ({STATE_NUMBERS})"  # napari's colour bar has numbers alone
+            caption += f"\n{STATE_NUMBERS}"  # napari's colour bar has numbers alone
         elif about.colours == "flags":
             limits = -0.5, 1.5
             colours = _steps(["#DDDDDD", COLOURS["filled"]], name)
@@ -229,14 +230,16 @@ def map_layers(
             limits = common_limits(groups[about.scale], about.colours)
             colours = _continuous(about.colours)
         keywords = {
-            "name": f"{prefix}{label}",
+            "name": f"{prefix}{about.label}",
             "scale": steps,
             "translate": [float(y[0]), float(x[0])],
             "units": _MM[2],
             "axis_labels": ("y", "x"),
             "colormap": colours,
             "contrast_limits": limits,
-            "metadata": {KEY: {"kind": "map", "variable": name, "units": about.units}},
+            "metadata": {
+                KEY: {"kind": "map", "variable": name, "units": about.units, "caption": caption}
+            },
         }
         layers.append(Layer(field.values.astype(np.float32), keywords, "image"))
     return layers

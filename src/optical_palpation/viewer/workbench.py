@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,12 @@ from optical_palpation.viewer.background import Background
 from optical_palpation.viewer.layers import KEY, Layer, map_layers, volume_layer
 from optical_palpation.viewer.session import SIDES, Session
 
-_DIFFERENCE = ("difference_error", "difference")
+#: Maps of a comparison, and what they are called here; the one that is seen comes last.
+_DIFFERENCE = {"difference_error": "error_of_it", "difference": "difference"}
+#: Pixels of the canvas that a colour bar takes, with its numbers: downwards and to the left.
+_COLOUR_BAR = 180, 80
+#: Width of a letter of the caption beside it, pixels, and how many fit on a line at least.
+_LETTER, _LEAST_LETTERS = 8, 12
 _IN_VOLUMES = ("volume", "boundary", "anchors")
 
 
@@ -84,8 +90,20 @@ class Workbench(QObject):
             if layer.kind == "image" and layer.keywords["metadata"][KEY]["kind"] == "map":
                 new.colorbar.visible = True
                 new.metadata[KEY]["limits"] = tuple(new.contrast_limits)
+                new.events.visible.connect(lambda _: self._caption())
             shown.append(new)
+        self._caption()
         return shown
+
+    def _caption(self) -> None:
+        """Write above the map that is seen what it is and its unit."""
+        seen = [layer for layer in self.layers("map") if layer.visible]
+        text = self.viewer.canvas.overlays.text
+        text.position = "top_left"
+        caption = seen[-1].metadata[KEY].get("caption", "") if seen else ""
+        letters = max(_LEAST_LETTERS, int(self.viewer.canvas.size[1] - _COLOUR_BAR[1]) // _LETTER)
+        text.text = "\n".join(textwrap.fill(line, letters) for line in caption.split("\n"))
+        text.visible = bool(seen)
 
     def show_difference(self, found: xr.Dataset) -> None:
         """Show the one difference of a comparison, and its error where it has one.
@@ -96,12 +114,15 @@ class Workbench(QObject):
             As from :func:`~optical_palpation.analysis.compare_results`, of two results.
         """
         self.forget_difference()
-        fields = found.isel(compared=0, drop=True)
+        # an error is no difference to be coloured about zero
+        fields = found.isel(compared=0, drop=True).rename(
+            {name: new for name, new in _DIFFERENCE.items() if name in found}
+        )
         other = str(found["compared"].values[0])
-        # the one that is seen comes last
-        layers = map_layers(fields, f"{other} less this: ", only=_DIFFERENCE)
+        layers = map_layers(fields, only=list(_DIFFERENCE.values()))
         for layer in layers:
-            layer.keywords["metadata"][KEY]["comparison"] = True
+            about = layer.keywords["metadata"][KEY]
+            about |= {"comparison": True, "caption": f"{about['caption']}\n{other} less this"}
         self.show(layers)
         self.raise_regions()
         self.view_maps([layers[-1].keywords["name"]])
@@ -164,6 +185,20 @@ class Workbench(QObject):
         self.viewer.scene.camera.orientation2d = ("up", "right")  # as in all figures
         self.viewer.canvas.overlays.scale_bar.visible = True
         self.viewer.reset_view()
+        self._leave_room()
+        self._caption()
+
+    def _leave_room(self) -> None:
+        """Show the maps smaller where the colour bar would lie on their corner."""
+        seen = [layer for layer in self.layers("map") if layer.visible]
+        if not seen:
+            return
+        # from centre to centre, and half a pixel at either end
+        size = np.max([np.ptp(it.extent.world, 0) + it.scale for it in seen], 0)
+        room = np.array(self.viewer.canvas.size) - 2 * np.array(_COLOUR_BAR)
+        if (room > 0).any():  # beside or below it, whichever is more
+            camera = self.viewer.scene.camera
+            camera.zoom = min(camera.zoom, float((room / size).max()))
 
     def title(self, given: Mapping[str, Any]) -> str:
         """What to call an input of a study."""
