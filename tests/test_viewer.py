@@ -605,6 +605,18 @@ def test_the_map_that_is_seen_is_named_and_not_under_its_colour_bar(panel, study
         corner = on_canvas(viewer, (top, right))
         assert corner.y() > 165 or corner.x() < viewer.canvas.size[1] - 75, size
     assert text.text == stress.name
+    # names of regions are read on what is bright and on what is dark
+    shape = stress.data.shape
+    steps = np.where(np.arange(shape[1]) < 3, *stress.contrast_limits[::-1])
+    stress.data = np.broadcast_to(steps, shape).astype(np.float32)
+    drawn = layer(panel, "regions")
+    for x in (0.2, 1.0):
+        drawn.add_rectangles(np.array([(0.2, x - 0.1), (0.4, x + 0.1)]))
+    panel.regions.update_table()
+    brightest_first = stress.colormap.map([1.0, 0.0])[:, :3].mean(1)
+    assert brightest_first[0] < brightest_first[1]  # viridis, the other way round
+    colours = drawn.text.color(drawn.features)
+    assert np.allclose(colours[:, :3], [[1, 1, 1], [0, 0, 0]])
     bench.view_maps(["Contact with the window"])
     assert text.text == "Contact with the window\n0 open, 1 slip, 2 stick, 3 glued"
     next(it for it in bench.layers("map") if it.visible).visible = False

@@ -124,6 +124,7 @@ class Regions(QGroupBox):
     def update_table(self) -> None:
         """Read the map in the regions."""
         result, variable = self._bench.result, self.variable.currentData()
+        self._bench.ink_names()
         self.table.setRowCount(0)
         if result is None or variable is None:
             return

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from napari.layers import Layer as NapariLayer
+from numpy.typing import NDArray
 from qtpy.QtCore import QObject, Signal
 
 from optical_palpation.palpation.result import StressResult
@@ -23,6 +24,8 @@ _DIFFERENCE = {"difference_error": "error_of_it", "difference": "difference"}
 _COLOUR_BAR = 180, 80
 #: Width of a letter of the caption beside it, pixels, and how many fit on a line at least.
 _LETTER, _LEAST_LETTERS = 8, 12
+#: Of sRGB, and the luminance on which black and white are read alike (WCAG's contrast).
+_GAMMA, _LUMINANCE, _BRIGHT = 2.2, np.array([0.2126, 0.7152, 0.0722]), 0.18
 _IN_VOLUMES = ("volume", "boundary", "anchors")
 
 
@@ -104,6 +107,19 @@ class Workbench(QObject):
         letters = max(_LEAST_LETTERS, int(self.viewer.canvas.size[1] - _COLOUR_BAR[1]) // _LETTER)
         text.text = "\n".join(textwrap.fill(line, letters) for line in caption.split("\n"))
         text.visible = bool(seen)
+        self.ink_names()
+
+    def ink_names(self) -> None:
+        """Write the names of regions in black on what is bright of the map, in white on the rest.
+
+        No one colour is read on all of a map.
+        """
+        seen = [layer for layer in self.layers("map") if layer.visible]
+        for drawn in self.layers("regions"):
+            if seen and len(drawn.data):
+                at = [(np.min(it, 0) + np.max(it, 0)) / 2 for it in drawn.data]
+                bright = _brightness(seen[-1], np.array(at)) > _BRIGHT
+                drawn.text.color = np.where(bright, "black", "white").tolist()
 
     def show_difference(self, found: xr.Dataset) -> None:
         """Show the one difference of a comparison, and its error where it has one.
@@ -205,6 +221,16 @@ class Workbench(QObject):
         if "thickness" in given:
             return f"{given['thickness']:g} mm"
         return Path(str(given.get("volume") or given.get("map") or "")).name
+
+
+def _brightness(image: Any, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Luminance, 0 to 1, of a map as it is shown at places (n, 2) in mm."""
+    pixels = np.round((places - image.translate) / image.scale).astype(int)
+    row, column = np.clip(pixels, 0, np.array(image.data.shape) - 1).T
+    low, high = image.contrast_limits
+    shares = np.nan_to_num((image.data[row, column] - low) / (high - low))
+    rgb = image.colormap.map(np.clip(shares, 0.0, 1.0))[:, :3]
+    return np.asarray(rgb**_GAMMA @ _LUMINANCE)
 
 
 def _update(old: Any, new: Layer) -> None:
