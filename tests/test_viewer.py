@@ -18,7 +18,7 @@ from optical_palpation.thickness import read_corrections, write_thickness_map
 from optical_palpation.viewer.layers import KEY
 from optical_palpation.viewer.session import Session
 from study_case import make_study, make_volumes
-from viewer_pictures import click, drag, pump, wait
+from viewer_pictures import click, drag, on_canvas, pump, wait
 
 pytest.importorskip("napari", reason="napari is not installed")
 
@@ -102,6 +102,7 @@ def test_the_manifest_is_valid():
     assert {reader.command for reader in manifest.contributions.readers} == {
         "optical-palpation.read_volume",
         "optical-palpation.read_maps",
+        "optical-palpation.open_study",
     }
 
 
@@ -359,6 +360,7 @@ def test_a_computation_can_be_cancelled_and_the_window_stays_alive(panel, study)
     panel.cancel.click()
     wait(lambda: not panel.bench.background.is_busy)
     assert panel.bench.result is None
+    assert panel.message.text() == "cancelled"
     assert not panel.cancel.isEnabled()
     assert not list(panel.bench.layers("regions"))
     # what comes next is not harmed
@@ -366,6 +368,14 @@ def test_a_computation_can_be_cancelled_and_the_window_stays_alive(panel, study)
     panel.solving.solve()
     wait_idle(panel)
     assert panel.bench.result is not None
+    assert panel.message.text() == ""
+    figures = panel.solving.outcome.text()
+    panel.solving.numbers["friction.window"].set(0.3)
+    panel.solving.solve()
+    panel.cancel.click()
+    wait(lambda: not panel.bench.background.is_busy)
+    assert panel.message.text() == "cancelled; the figures are those of the last solution"
+    assert panel.solving.outcome.text() == figures
 
 
 def test_only_the_last_of_many_changes_is_solved(panel):
@@ -425,3 +435,189 @@ def test_a_study_of_a_number_and_a_volume_is_shown_as_it_is(panel, study):
     assert session.tables["unloaded"] == {"thickness": 0.44}
     assert session.tables["grid"]["element_size"] == [0.2, 0.25, 0.1]
     assert session.tables["friction"] == {"window": "glued", "sample": 0.1, "slip_length": 0.001}
+
+
+def test_the_extent_of_the_layer_is_typed_and_kept(panel, study, tmp_path):
+    panel.open_study(str(study))
+    fields = panel.measurement.extent
+    assert [field.text() for field in fields.values()] == [""] * 4
+    panel.solving.solve(estimates=False)
+    wait_idle(panel)
+    whole = panel.bench.result.maps
+    assert "layer" not in panel.bench.session.tables
+    fields["x0"].setText("0.3")
+    panel.solving.solve()
+    assert "four numbers of mm, x0, x1, y0, y1" in panel.message.text()
+    for edge, text in {"x1": "1.2", "y0": "0.15", "y1": "1.05"}.items():
+        fields[edge].setText(text)
+    panel.solving.solve(estimates=False)
+    wait_idle(panel)
+    part = panel.bench.result.maps
+    assert not whole["axial_stress"].equals(part["axial_stress"])
+    for axis, low, high in (("x", 0.3, 1.2), ("y", 0.15, 1.05)):
+        there = part["axial_stress"].dropna(axis, how="all")[axis]
+        assert low - 1e-9 <= float(there[0]) <= float(there[-1]) <= high + 1e-9
+
+    panel.save_study(str(tmp_path / "part.toml"))
+    saved = read_study(tmp_path / "part.toml")
+    assert tuple(saved.layer.extent) == (0.3, 1.2, 0.15, 1.05)
+    panel.open_study(str(study))
+    assert [field.text() for field in fields.values()] == [""] * 4
+    panel.open_study(str(tmp_path / "part.toml"))
+    assert [field.text() for field in fields.values()] == ["0.3", "1.2", "0.15", "1.05"]
+    # solved as it is changed, too
+    panel.solving.live.setChecked(True)
+    wait(lambda: panel.bench.result is not None and not panel.bench.background.is_busy)
+    before = panel.bench.result
+    for field in fields.values():
+        field.clear()
+    fields["y1"].editingFinished.emit()
+    wait(lambda: panel.bench.result is not before and not panel.bench.background.is_busy)
+    assert panel.bench.session.tables["layer"] == {}
+    again = panel.bench.result.maps["axial_stress"]
+    assert np.array_equal(again.values, whole["axial_stress"].values)
+
+
+def test_regions_that_are_loaded_come_to_those_that_were_drawn(panel, study, tmp_path):
+    panel.open_study(str(study))
+    panel.solving.solve(estimates=False)
+    wait_idle(panel)
+    maps = panel.bench.result.maps
+    panel.regions.draw("add_ellipse")
+    drag(panel.bench.viewer, (0.3, 0.3), (0.6, 0.6))
+    shown = layer(panel, "regions")
+    # a ring with a pixel that touches it at a corner, and a second label
+    labels = np.zeros(maps["axial_stress"].shape, np.uint8)
+    labels[1:4, 1:4] = labels[4, 4] = 1
+    labels[2, 2] = 0
+    labels[1:3, 5:7] = 2
+    np.save(tmp_path / "labels.npy", labels)
+    for _ in range(2):
+        panel.regions.load(tmp_path / "labels.npy")
+    assert layer(panel, "regions") is shown
+    assert shown.shape_type[0] == "ellipse"
+    regions = panel.regions.regions()
+    names = ["region 1", "label 1", "label 2", "label 1 2", "label 2 2"]
+    assert [region.name for region in regions] == names
+    for region, number in zip(regions[1:], (1, 2, 1, 2), strict=True):
+        assert np.array_equal(region.weights(maps["axial_stress"]), labels == number)
+    table = panel.regions.table
+    assert [table.verticalHeaderItem(row).text() for row in range(table.rowCount())] == names
+    for row, number in ((1, 1), (2, 2), (3, 1)):
+        mean = float(maps["axial_stress"].values[labels == number].mean())
+        said = float(table.item(row, 0).text().replace("\u2212", "-"))
+        assert said == pytest.approx(mean, rel=0.006)
+
+
+def test_a_result_is_compared_with_another(panel, study, tmp_path, monkeypatch):
+    from qtpy.QtWidgets import QFileDialog, QPushButton
+
+    file = tmp_path / "before.nc"
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_, **__: (str(file), ""))
+    button = next(b for b in panel.solving.findChildren(QPushButton) if b.text() == "Compare with…")
+    button.click()
+    assert "solve first" in panel.message.text()
+    panel.open_study(str(study))
+    panel.solving.solve()
+    wait_idle(panel)
+    button.click()
+    assert panel.message.text() == f"{file}: no such file"
+    before = panel.bench.result
+    before.save(file)
+    panel.solving.numbers["friction.window"].set(0.3)
+    panel.solving.solve()
+    wait_idle(panel)
+    now = panel.bench.result
+    button.click()
+    names = {"Difference (kPa)", "Error of the difference (kPa)"}
+    shown = {it.name: it for it in panel.bench.layers("map") if it.name in names}
+    assert set(shown) == names
+    assert "before.nc less this" in panel.bench.viewer.canvas.overlays.text.text
+    assert shown["Error of the difference (kPa)"].contrast_limits[0] >= 0
+    difference = before.maps["axial_stress"].values - now.maps["axial_stress"].values
+    error = np.hypot(*(it.maps["axial_stress_error"].values for it in (before, now)))
+    for name, values in (("Difference", difference), ("Error of the difference", error)):
+        layer_of_it = shown[f"{name} (kPa)"]
+        np.testing.assert_allclose(layer_of_it.data, values, rtol=1e-5, atol=1e-6)
+        assert layer_of_it.visible == (name == "Difference")
+    said = panel.message.text()
+    rms = np.sqrt(np.nanmean(difference**2))
+    assert f"rms difference {rms:.3g} kPa" in said
+    known = np.isfinite(error) & np.isfinite(difference)
+    within = 100 * np.mean(np.abs(difference[known]) <= error[known])
+    share = re.search(r"([\d.]+) % of the map within the error", said)
+    assert float(share[1]) == pytest.approx(within, rel=0.01)
+    # it is one with a stress that is shown
+    panel.solving.solve(estimates=False)
+    wait_idle(panel)
+    assert not [it for it in panel.bench.layers("map") if it.name in names]
+
+
+def drop(viewer, path):
+    """Drop a file on the canvas."""
+    from qtpy.QtCore import QMimeData, QPointF, Qt, QUrl
+    from qtpy.QtGui import QDropEvent
+
+    mime = QMimeData()
+    mime.setUrls([QUrl.fromLocalFile(str(path))])
+    left, none = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+    copy = Qt.DropAction.CopyAction
+    viewer.window._qt_viewer.dropEvent(QDropEvent(QPointF(50, 50), copy, mime, left, none))
+    pump()
+
+
+def test_a_dropped_study_is_opened_in_the_panel(viewer, study, tmp_path):
+    drop(viewer, study)
+    dock, panel = viewer.window.add_plugin_dock_widget("optical-palpation")
+    assert panel.message.text() == "opened study.toml"
+    assert {layer.name for layer in viewer.layers} == {"unloaded.npy", "loaded.npy"}
+    assert panel.solving.numbers["material.c10"].value() == 2.23
+    dock.hide()
+    (tmp_path / "bad.toml").write_text("[unloaded]\nthickness = -1\n")
+    drop(viewer, tmp_path / "bad.toml")
+    assert dock.isVisible()
+    assert "thickness" in panel.message.text()
+    panel.bench.session.close()
+
+
+def test_volumes_of_other_readers_are_named_with_what_to_do(panel, viewer):
+    viewer.add_image(np.zeros((4, 5, 6), np.float32), name="plain")
+    panel.measurement.find_layer()
+    assert "choose the loaded layer: plain came by another reader" in panel.message.text()
+    assert "Open volume" in panel.message.text()
+    assert panel.measurement.folded.isExpanded()
+
+
+def test_the_map_that_is_seen_is_named_and_not_under_its_colour_bar(panel, study):
+    panel.open_study(str(study))
+    panel.solving.solve(estimates=False)
+    wait_idle(panel)
+    bench, viewer = panel.bench, panel.bench.viewer
+    text = viewer.canvas.overlays.text
+    assert (text.visible, text.text) == (True, "Axial stress, computational (kPa)")
+    stress = next(it for it in bench.layers("map") if it.name == text.text)
+    top, right = stress.extent.world[1] + stress.scale / 2  # y points up
+    for size in ((1400, 900), (1330, 820), (1000, 900), (1500, 600)):
+        viewer.window._qt_window.resize(*size)
+        pump(0.3)
+        bench.view_maps([stress.name])
+        pump()
+        corner = on_canvas(viewer, (top, right))
+        assert corner.y() > 165 or corner.x() < viewer.canvas.size[1] - 75, size
+    assert text.text == stress.name
+    # names of regions are read on what is bright and on what is dark
+    shape = stress.data.shape
+    steps = np.where(np.arange(shape[1]) < 3, *stress.contrast_limits[::-1])
+    stress.data = np.broadcast_to(steps, shape).astype(np.float32)
+    drawn = layer(panel, "regions")
+    for x in (0.2, 1.0):
+        drawn.add_rectangles(np.array([(0.2, x - 0.1), (0.4, x + 0.1)]))
+    panel.regions.update_table()
+    brightest_first = stress.colormap.map([1.0, 0.0])[:, :3].mean(1)
+    assert brightest_first[0] < brightest_first[1]  # viridis, the other way round
+    colours = drawn.text.color(drawn.features)
+    assert np.allclose(colours[:, :3], [[1, 1, 1], [0, 0, 0]])
+    bench.view_maps(["Contact with the window"])
+    assert text.text == "Contact with the window\n0 open, 1 slip, 2 stick, 3 glued"
+    next(it for it in bench.layers("map") if it.visible).visible = False
+    assert not text.visible

@@ -28,6 +28,7 @@ from optical_palpation.viewer.layers import (
     volume_layer,
 )
 from optical_palpation.viewer.session import Session
+from optical_palpation.viewer.tracing import traced
 from optical_palpation.volume import open_volume
 from study_case import STUDY, UNLOADED, make_study, make_volumes
 from volume_samples import WRITERS, volume
@@ -167,6 +168,8 @@ def test_maps_carry_units_and_those_of_a_kind_share_their_limits():
     assert computed.keywords["translate"] == [1.0, 0.0]
     assert np.array_equal(computed.data, maps()["axial_stress"].values.astype(np.float32))
     assert len(layers["contact_state"].keywords["colormap"]["colors"]) == len(STATES)
+    said = layers["contact_state"].keywords["metadata"][KEY]["caption"]
+    assert said.endswith("Contact with the sample\n0 open, 1 slip, 2 stick, 3 glued")
 
 
 def test_regions_that_are_drawn_and_written_are_those_that_the_command_reads(tmp_path):
@@ -286,3 +289,27 @@ def test_what_is_missing_is_named(study_file, tmp_path):
     with pytest.raises(MaterialError):
         whole.save(tmp_path / "study.toml")
     assert not list(tmp_path.iterdir())
+
+
+@given(st.lists(st.lists(st.booleans(), min_size=6, max_size=6), min_size=5, max_size=5))
+def test_the_outline_of_a_mask_holds_its_pixels_and_no_others(rows):
+    pixels = np.array(rows)
+    here = {"y": 0.2 + 0.3 * np.arange(5), "x": -0.1 + 0.1 * np.arange(6)}
+    like = xr.DataArray(np.zeros(pixels.shape), here, dims=("y", "x"))
+    if not pixels.any():
+        return
+    outlined = traced(Region.of_mask("mask", like.copy(data=pixels)))
+    assert np.array_equal(outlined.weights(like).values, pixels)
+    for outline in outlined.outlines:  # what napari can fill: none meets itself
+        assert len({tuple(corner) for corner in outline}) == len(outline)
+    # drawn as shapes and taken back, holes are holes
+    drawn = region_layer(like.to_dataset(name="stress"), [outlined])
+    names, wholes = (list(drawn.keywords["features"][key]) for key in ("name", "part of"))
+    (back,) = regions_from(drawn.data, ["polygon"] * len(names), names, wholes)
+    assert np.array_equal(back.weights(like).values, pixels)
+
+
+def test_names_that_are_numbers_of_others_stay_apart():
+    square = np.array([(0, 0), (0, 1), (1, 1), (1, 0)], float)
+    named = regions_from([square] * 4, ["polygon"] * 4, ["a", "region 3", "", "a"])
+    assert [region.name for region in named] == ["a", "region 3", "region 3 2", "a 4"]

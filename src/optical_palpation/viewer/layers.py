@@ -7,8 +7,9 @@ and share its scale; regions of interest are in mm.
 
 from __future__ import annotations
 
+import itertools
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from optical_palpation.analysis import Region
 from optical_palpation.errors import InputError
 from optical_palpation.present.figure import colour_map
-from optical_palpation.present.terms import STATES, common_limits, is_map, term
+from optical_palpation.present.terms import STATE_NUMBERS, STATES, common_limits, is_map, term
 from optical_palpation.thickness import Corrections
 from optical_palpation.thickness.corrections import Anchor, Boundary, Exclusion
 from optical_palpation.volume import Volume, VolumeMetadata
@@ -214,12 +215,14 @@ def map_layers(
     layers = []
     for name in names:
         field, about = maps[name].transpose("y", "x"), terms[name]
+        caption = f"{prefix}{about.label}"
         y, x = field["y"].values, field["x"].values
         steps = [float(v[-1] - v[0]) / (v.size - 1) if v.size > 1 else 1.0 for v in (y, x)]
         colours: dict[str, Any] | str
         if about.colours == "states":
             limits = -0.5, len(STATES) - 0.5
             colours = _steps(list(STATES.values()), name)
+            caption += f"\n{STATE_NUMBERS}"  # napari's colour bar has numbers alone
         elif about.colours == "flags":
             limits = -0.5, 1.5
             colours = _steps(["#DDDDDD", COLOURS["filled"]], name)
@@ -234,7 +237,9 @@ def map_layers(
             "axis_labels": ("y", "x"),
             "colormap": colours,
             "contrast_limits": limits,
-            "metadata": {KEY: {"kind": "map", "variable": name, "units": about.units}},
+            "metadata": {
+                KEY: {"kind": "map", "variable": name, "units": about.units, "caption": caption}
+            },
         }
         layers.append(Layer(field.values.astype(np.float32), keywords, "image"))
     return layers
@@ -345,11 +350,15 @@ def region_layer(maps: xr.Dataset, regions: Sequence[Region] = ()) -> Layer:
     """Regions of interest on maps as shapes, mm, to draw more of."""
     outlines = [outline[:, ::-1] for region in regions for outline in region.outlines]
     names = [region.name for region in regions for _ in region.outlines]
+    wholes = [whole_of(region) for region in regions for _ in region.outlines]
     keywords = {
         "name": "regions",
         "shape_type": "polygon",
-        "features": {"name": np.array(names, dtype=object)},
-        "feature_defaults": {"name": ""},
+        "features": {
+            "name": np.array(names, dtype=object),
+            "part of": np.array(wholes, dtype=object),
+        },
+        "feature_defaults": {"name": "", "part of": ""},
         "text": {"string": "{name}", "color": _REGION, "size": 11, "anchor": "center"},
         "edge_color": _REGION,
         "face_color": "transparent",
@@ -363,8 +372,22 @@ def region_layer(maps: xr.Dataset, regions: Sequence[Region] = ()) -> Layer:
     return Layer(outlines, keywords, "shapes")
 
 
+def whole_of(region: Region) -> str:
+    """What tells that several shapes are one region, as a ring is; "" where one shape is."""
+    return region.name if len(region.outlines) > 1 else ""
+
+
+def free_name(name: str, taken: Collection[str]) -> str:
+    """Return a name, with a number where it is taken."""
+    numbers = (f"{name} {number}" for number in itertools.count(2))
+    return next(it for it in itertools.chain([name], numbers) if it not in taken)
+
+
 def regions_from(
-    shapes: Sequence[ArrayLike], kinds: Sequence[str], names: Sequence[object]
+    shapes: Sequence[ArrayLike],
+    kinds: Sequence[str],
+    names: Sequence[object],
+    wholes: Sequence[object] = (),
 ) -> list[Region]:
     """Regions of what was drawn.
 
@@ -376,24 +399,35 @@ def regions_from(
         ``rectangle``, ``ellipse``, ``polygon``; of the rest, lines, there is no region.
     names
         What to call them; those without a name, or with that of another, get a number.
+    wholes
+        Shapes with the same text here are one region; "" for those that are one each, as all
+        are by default.
 
     Raises
     ------
     InputError
         If none of them has an area.
     """
-    regions: list[Region] = []
-    taken: set[str] = set()
-    for number, (vertices, kind, given) in enumerate(zip(shapes, kinds, names, strict=True), 1):
+    regions: dict[str, Region] = {}
+    started: dict[str, str] = {}
+    wholes = wholes or [""] * len(shapes)
+    rows = zip(shapes, kinds, names, wholes, strict=True)
+    for number, (vertices, kind, given, whole) in enumerate(rows, 1):
         if kind in ("line", "path"):
             continue
         corners = np.asarray(vertices, float)[:, ::-1]
-        name = given.strip() if isinstance(given, str) else ""
-        if not name or name in taken:
-            name = f"{name or 'region'} {number}"
-        taken.add(name)
         make = Region.ellipse_in_box if kind == "ellipse" else Region.polygon
-        regions.append(make(name, corners))
+        if isinstance(whole, str) and whole in started:
+            name = started[whole]
+            outlines = regions[name].outlines + make(name, corners).outlines
+            regions[name] = Region(name, outlines)
+            continue
+        name = given.strip() if isinstance(given, str) else ""
+        if not name or name in regions:
+            name = free_name(f"{name or 'region'} {number}", regions)
+        if isinstance(whole, str) and whole:
+            started[whole] = name
+        regions[name] = make(name, corners)
     if not regions:
         raise InputError("draw a rectangle, an ellipse or a polygon on the map: there is none yet")
-    return regions
+    return list(regions.values())

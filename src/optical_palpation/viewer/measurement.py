@@ -6,6 +6,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from napari.layers import Image
+from qtpy.QtCore import Signal
 from qtpy.QtWidgets import (
     QComboBox,
     QFileDialog,
@@ -35,11 +37,15 @@ _HOW = {
     "variable": ("", "name of the array, of several"),
 }
 _NUMBER = "a thickness"
+_EDGES = ("x0", "x1", "y0", "y1")
 _MAPS = ("thickness", "quality", "filled")
 
 
 class Measurement(QGroupBox):
     """Inputs of the study, and the layer in them."""
+
+    #: The extent of the layer was typed.
+    changed = Signal()
 
     def __init__(self, bench: Workbench) -> None:
         super().__init__("Measurement")
@@ -75,6 +81,17 @@ class Measurement(QGroupBox):
         self.sample_edge.setToolTip("how the sample side shows: a rise to scattering, or a line")
         form.addRow("window side", self.window_edge)
         form.addRow("sample side", self.sample_edge)
+        self.extent = {edge: QLineEdit() for edge in _EDGES}
+        row = QHBoxLayout()
+        for edge, field in self.extent.items():
+            field.setPlaceholderText(edge)
+            field.setToolTip(
+                "where the layer itself begins and ends, mm: what the volumes show beyond it is "
+                "left out of the stress; empty for a layer that fills the field of view"
+            )
+            field.editingFinished.connect(self.changed.emit)
+            row.addWidget(field)
+        form.addRow("extent (mm)", row)
         row = QHBoxLayout()
         self.find_button = QPushButton("Find the layer")
         self.find_button.clicked.connect(lambda: self.find_layer())
@@ -117,9 +134,12 @@ class Measurement(QGroupBox):
         Raises
         ------
         InputError
-            If the loaded layer has not been chosen.
+            If the loaded layer has not been chosen, or its extent is no four numbers.
         """
         session = self._bench.session
+        extent = self._extent()
+        if extent != session.tables.get("layer", {}).get("extent"):
+            session.change({"layer.extent": extent})
         for side in reversed(SIDES):  # the loaded layer first: without it there is no study
             chosen = self.choice[side].currentData()
             if chosen == _NUMBER:
@@ -137,7 +157,7 @@ class Measurement(QGroupBox):
                     {f"{side}.{k}": v for k, v in own.items() if before.get(k, _USUAL[k]) != v}
                 )
             elif not session.input(side):
-                raise InputError(f"choose the {side} layer: drop its volume on napari first")
+                raise InputError(f"choose the {side} layer: {self._how_to_choose()}")
 
     def find_layer(self) -> None:
         """Find the layer in the volumes of the study, and show it."""
@@ -160,6 +180,34 @@ class Measurement(QGroupBox):
 
         session = bench.session
         bench.background.run(lambda tell: {side: session.find(side, tell) for side in sides}, then)
+
+    def _how_to_choose(self) -> str:
+        """What to do for a volume to be listed."""
+        foreign = [
+            layer.name
+            for layer in self._bench.viewer.layers
+            if isinstance(layer, Image) and layer.ndim > 2 and KEY not in layer.metadata
+        ]
+        if not foreign:
+            return "drop its volume on napari first"
+        self.folded.expand()
+        return (
+            f"{', '.join(foreign)} came by another reader of napari, which does not say in mm "
+            "where the samples lie; give what the file does not say above, then 'Open volume'"
+        )
+
+    def _extent(self) -> list[float] | None:
+        """Where the layer lies, x0, x1, y0, y1 in mm; None for the whole field of view."""
+        texts = [field.text().strip() for field in self.extent.values()]
+        if not any(texts):
+            return None
+        try:
+            return [float(text) for text in texts]
+        except ValueError:
+            raise InputError(
+                f"the extent of the layer is four numbers of mm, {', '.join(_EDGES)}, or empty for "
+                f"the whole field of view; found {', '.join(text or 'nothing' for text in texts)}"
+            ) from None
 
     def _window(self) -> str | float:
         text = self.window_edge.currentText()
@@ -240,6 +288,9 @@ class Measurement(QGroupBox):
         loaded = session.input("loaded")
         self.window_edge.setCurrentText(str(loaded.get("window", _USUAL["window"])))
         self.sample_edge.setCurrentText(loaded.get("sample", _USUAL["sample"]))
+        extent = session.tables.get("layer", {}).get("extent") or [""] * len(_EDGES)
+        for field, value in zip(self.extent.values(), extent, strict=True):
+            field.setText(str(value))
         for key, field in self.how.items():
             field.setText(as_toml(loaded[key]).strip('"') if key in loaded else "")
 

@@ -61,7 +61,8 @@ class Panel(QWidget):
         self.bar = QProgressBar()
         self.bar.setRange(0, 1000)
         self.cancel = QPushButton("Cancel")
-        self.cancel.clicked.connect(lambda: bench.background.cancel())
+        self.cancel.clicked.connect(self._stop)
+        self._stopped = False
         row = QHBoxLayout()
         row.addWidget(self.bar, 1)
         row.addWidget(self.cancel)
@@ -84,6 +85,10 @@ class Panel(QWidget):
         """
         self.bench.take_up(Session.open(path))
         self._say(f"opened {Path(path).name}")
+
+    def try_open_study(self, path: str) -> None:
+        """Take up a study file, and say what is wrong with one that cannot be used."""
+        self._try(self.open_study, path)
 
     def save_study(self, path: str) -> None:
         """Write what was done as a study file, which ``optical-palpation run`` repeats.
@@ -112,16 +117,25 @@ class Panel(QWidget):
         self.bar.setFormat(f"{stage}: %p%")
         self.bar.setValue(round(1000 * share))
 
+    def _stop(self) -> None:
+        self._stopped = True
+        self.bench.background.cancel()
+
     def _busy(self, busy: bool) -> None:
+        stopped, self._stopped = self._stopped and not busy, False
         self.cancel.setEnabled(busy)
         self.bar.setValue(0)
         self.bar.setFormat("starting" if busy else "")
         if busy:
             self.message.setText("")
+        elif stopped and self.bench.result is not None:
+            self._say("cancelled; the figures are those of the last solution")
+        elif stopped:
+            self._say("cancelled")
 
     def _ask_to_open(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Study", filter="*.toml")
-        self._try(self.open_study, path)
+        self.try_open_study(path)
 
     def _ask_to_save(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Study", "study.toml", filter="*.toml")

@@ -15,6 +15,8 @@ from optical_palpation.volume import open_volume
 from optical_palpation.volume.opening import is_known
 
 Read = Callable[[Any], list[Layer]]
+#: What tells napari that a file was read, and that there is no layer to show for it.
+_NO_LAYER = [(None,)]
 #: Which of the maps of a file is seen first.
 _FIRST = ("axial_stress", "thickness", "loaded_thickness")
 
@@ -70,3 +72,29 @@ def read_maps(path: str) -> list[Layer]:
     for name, layer in zip(names, layers, strict=True):  # they lie on each other
         layer.keywords["visible"] = name == first
     return layers
+
+
+def study_reader(path: str | list[str]) -> Callable[[str], list[tuple[None]]] | None:
+    """Return what opens a study file, None for anything else."""
+    if isinstance(path, list) or Path(path).suffix.lower() != ".toml":
+        return None
+    return open_study
+
+
+def open_study(path: str) -> list[tuple[None]]:
+    """Take up a study file in the panel, which says what is wrong with it.
+
+    Raises
+    ------
+    InputError
+        If there is no viewer whose panel could open it.
+    """
+    import napari
+
+    viewer = napari.current_viewer()
+    if viewer is None:
+        raise InputError(f"{path}: a study is opened in napari's window, with the panel")
+    dock, panel = viewer.window.add_plugin_dock_widget("optical-palpation")
+    dock.show()  # it may have been closed
+    panel.try_open_study(path)
+    return _NO_LAYER

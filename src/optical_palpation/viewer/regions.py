@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -22,7 +24,8 @@ from optical_palpation.errors import InputError, OpticalPalpationError
 from optical_palpation.present.tables import region_figure, write_table
 from optical_palpation.present.terms import is_map, rounded, term
 from optical_palpation.viewer.buttons import button_row
-from optical_palpation.viewer.layers import region_layer, regions_from
+from optical_palpation.viewer.layers import free_name, region_layer, regions_from, whole_of
+from optical_palpation.viewer.tracing import traced
 from optical_palpation.viewer.workbench import Workbench
 
 _COLUMNS = {
@@ -104,7 +107,9 @@ class Regions(QGroupBox):
         layer = next(self._bench.layers("regions"), None)
         if layer is None:
             raise InputError("there are no regions yet")
-        return regions_from(layer.data, layer.shape_type, list(layer.features["name"]))
+        features = layer.features
+        wholes = list(features.get("part of", ()))  # a layer made in napari has none
+        return regions_from(layer.data, layer.shape_type, list(features["name"]), wholes)
 
     def name_selected(self) -> None:
         """Give the shapes that are chosen in napari the name that was typed."""
@@ -119,6 +124,7 @@ class Regions(QGroupBox):
     def update_table(self) -> None:
         """Read the map in the regions."""
         result, variable = self._bench.result, self.variable.currentData()
+        self._bench.ink_names()
         self.table.setRowCount(0)
         if result is None or variable is None:
             return
@@ -146,26 +152,59 @@ class Regions(QGroupBox):
         self.table.resizeColumnsToContents()
 
     def load(self, path: str) -> None:
-        """Show the regions of a file.
+        """Add the regions of a file to those that are drawn; masks get outlines.
 
         Raises
         ------
         InputError
-            If it cannot be read, or its regions are masks, which have no outline.
+            If it cannot be read, or there is no stress yet.
         """
         bench = self._bench
         if bench.result is None:
             raise InputError("solve first: regions are drawn on the stress")
-        regions = read_regions(path, bench.result.maps)
-        if masks := [region.name for region in regions if not region.outlines]:
-            raise InputError(
-                f"{path}: {', '.join(masks[:5])} are masks, which cannot be drawn on; the command "
-                "'optical-palpation regions' reads them"
-            )
-        for layer in list(bench.layers("regions")):
-            bench.viewer.layers.remove(layer)
-        bench.show([region_layer(bench.result.maps, regions)])
+        maps = bench.result.maps
+        regions = [self._outlined(region) for region in read_regions(path, maps)]
+        layer = next(bench.layers("regions"), None)
+        if layer is None:
+            bench.show([region_layer(maps)])
+            layer = next(bench.layers("regions"))
+        self._append(layer, regions)
         self.update_table()
+
+    def _outlined(self, region: Region) -> Region:
+        """A region that can be drawn on."""
+        if region.mask is None:
+            return region
+        like = self._bench.result.maps["axial_stress"]  # type: ignore[union-attr]
+        outlined = traced(region)
+        same = np.isclose(outlined.weights(like), region.weights(like), atol=1e-6)
+        if not same.all():
+            self._bench.said.emit(
+                f"{region.name}: the outline of this mask holds {np.count_nonzero(~same)} of "
+                f"{same.size} pixels otherwise than the mask does"
+            )
+        return outlined
+
+    def _append(self, layer: Any, regions: Sequence[Region]) -> None:
+        """Draw regions beside those that are there, under names of their own."""
+        count = len(layer.data)
+        try:
+            taken = {region.name for region in self.regions()}
+        except InputError:
+            taken = set()
+        taken |= {str(it) for it in layer.features.get("part of", ())}
+        shown = []
+        for region in regions:
+            shown.append(Region(free_name(region.name, taken), region.outlines))
+            taken.add(shown[-1].name)
+        layer.selected_data = set()  # else the features of these would change
+        layer.add_polygons([outline[:, ::-1] for it in shown for outline in it.outlines])
+        features = layer.features.copy()
+        new = slice(count, None)
+        features.loc[new, "name"] = [it.name for it in shown for _ in it.outlines]
+        features.loc[new, "part of"] = [whole_of(it) for it in shown for _ in it.outlines]
+        layer.features = features
+        layer.refresh_text()
 
     def save_regions(self, path: str) -> None:
         """Write the outlines of the regions, which :func:`read_regions` reads.
@@ -214,7 +253,7 @@ class Regions(QGroupBox):
 
     def _ask_to_load(self) -> None:
         path, _ = QFileDialog.getOpenFileName(
-            self, "Regions", filter="*.roi *.zip *.csv;;*"
+            self, "Regions", filter="*.roi *.zip *.csv *.tif *.tiff *.png *.npy;;*"
         )  # fmt: skip
         self._try(self.load, path)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from qtpy.QtCore import Qt, QTimer
@@ -10,6 +11,7 @@ from qtpy.QtGui import QResizeEvent
 from qtpy.QtWidgets import (
     QCheckBox,
     QComboBox,
+    QFileDialog,
     QFormLayout,
     QGroupBox,
     QHBoxLayout,
@@ -17,8 +19,11 @@ from qtpy.QtWidgets import (
     QPushButton,
 )
 
-from optical_palpation.errors import OpticalPalpationError
+from optical_palpation.analysis import compare_results
+from optical_palpation.errors import InputError, OpticalPalpationError
 from optical_palpation.palpation.result import StressResult
+from optical_palpation.present import read_result
+from optical_palpation.present.comparison import comparison_in_words
 from optical_palpation.present.summary import (
     force_error,
     mean_stress_error,
@@ -27,6 +32,7 @@ from optical_palpation.present.summary import (
 )
 from optical_palpation.present.terms import rounded, term
 from optical_palpation.study import warnings_about
+from optical_palpation.viewer.buttons import button_row
 from optical_palpation.viewer.layers import map_layers, region_layer
 from optical_palpation.viewer.measurement import Measurement
 from optical_palpation.viewer.numbers import Number
@@ -88,6 +94,10 @@ class Solving(QGroupBox):
         form.addRow(row)
         self.outcome = _Text()
         form.addRow(self.outcome)
+        row = button_row(
+            ("Compare with…", "the stress of another result, stress.nc", self._ask_to_compare)
+        )
+        form.addRow(row)
         self._form = form
         self._shown: list[Any] = []
         self._size: Any = None  # three element sizes as the study gives them, or None
@@ -98,6 +108,7 @@ class Solving(QGroupBox):
         self.law.currentTextChanged.connect(self._show_law)
         self.edges.currentTextChanged.connect(lambda _: self._changed())
         self.live.toggled.connect(lambda on: self._changed() if on else None)
+        measurement.changed.connect(self._changed)
         bench.opened.connect(self._show)
         bench.background.failed.connect(lambda _: self.outcome.setText("no stress: see below"))
         self._show_law()
@@ -136,10 +147,35 @@ class Solving(QGroupBox):
             lambda tell: session.solve(tell, estimates=estimates), self._show_result
         )
 
+    def compare(self, path: str) -> None:
+        """Show how the stress of another result differs from this one, on the points of this.
+
+        Raises
+        ------
+        InputError
+            If there is no stress yet, the file holds none, or the two cannot be compared.
+        """
+        bench = self._bench
+        if bench.result is None:
+            raise InputError("solve first: there is no stress yet to compare with another")
+        other = read_result(path)
+        found = compare_results({"this": bench.result.maps, Path(path).name: other.maps})
+        bench.show_difference(found)
+        bench.said.emit(comparison_in_words(found))
+
+    def _ask_to_compare(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Result", filter="*.nc")
+        if path:
+            try:
+                self.compare(path)
+            except OpticalPalpationError as error:
+                self._bench.said.emit(str(error))
+
     def _show_result(self, result: StressResult) -> None:
         bench = self._bench
         first = bench.result is None
         bench.result = result
+        bench.forget_difference()
         others = [str(name) for name in result.maps.data_vars if name not in _SHOWN + _HIDDEN]
         layers = map_layers(result.maps, only=[*others, *_SHOWN])
         for layer in layers[:-1]:
@@ -147,9 +183,7 @@ class Solving(QGroupBox):
         self._forget(keep=bench.show(layers))
         if not list(bench.layers("regions")):
             bench.show([region_layer(result.maps)])
-        layers_there = bench.viewer.layers
-        for drawn in list(bench.layers("regions")):  # over maps that were not there before
-            layers_there.move(layers_there.index(drawn), len(layers_there))
+        bench.raise_regions()
         if first:
             bench.view_maps([term(result.maps, "axial_stress").label])
         self.outcome.setText(_in_words(result))
@@ -191,6 +225,7 @@ class Solving(QGroupBox):
                 self._size, value = value, value[0]
             number.set(value)
         self._forget(keep=())
+        self._bench.forget_difference()
         self.live.setChecked(live)
         self.outcome.setText("")
 

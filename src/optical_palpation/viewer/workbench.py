@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from napari.layers import Layer as NapariLayer
+from numpy.typing import NDArray
 from qtpy.QtCore import QObject, Signal
 
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.viewer.background import Background
-from optical_palpation.viewer.layers import KEY, Layer, volume_layer
+from optical_palpation.viewer.layers import KEY, Layer, map_layers, volume_layer
 from optical_palpation.viewer.session import SIDES, Session
 
+#: Maps of a comparison, and what they are called here; the one that is seen comes last.
+_DIFFERENCE = {"difference_error": "error_of_it", "difference": "difference"}
+#: Pixels of the canvas that a colour bar takes, with its numbers: downwards and to the left.
+_COLOUR_BAR = 180, 80
+#: Width of a letter of the caption beside it, pixels, and how many fit on a line at least.
+_LETTER, _LEAST_LETTERS = 8, 12
+#: Of sRGB, and the luminance on which black and white are read alike (WCAG's contrast).
+_GAMMA, _LUMINANCE, _BRIGHT = 2.2, np.array([0.2126, 0.7152, 0.0722]), 0.18
 _IN_VOLUMES = ("volume", "boundary", "anchors")
 
 
@@ -82,8 +93,67 @@ class Workbench(QObject):
             if layer.kind == "image" and layer.keywords["metadata"][KEY]["kind"] == "map":
                 new.colorbar.visible = True
                 new.metadata[KEY]["limits"] = tuple(new.contrast_limits)
+                new.events.visible.connect(lambda _: self._caption())
             shown.append(new)
+        self._caption()
         return shown
+
+    def _caption(self) -> None:
+        """Write above the map that is seen what it is and its unit."""
+        seen = [layer for layer in self.layers("map") if layer.visible]
+        text = self.viewer.canvas.overlays.text
+        text.position = "top_left"
+        caption = seen[-1].metadata[KEY].get("caption", "") if seen else ""
+        letters = max(_LEAST_LETTERS, int(self.viewer.canvas.size[1] - _COLOUR_BAR[1]) // _LETTER)
+        text.text = "\n".join(textwrap.fill(line, letters) for line in caption.split("\n"))
+        text.visible = bool(seen)
+        self.ink_names()
+
+    def ink_names(self) -> None:
+        """Write the names of regions in black on what is bright of the map, in white on the rest.
+
+        No one colour is read on all of a map.
+        """
+        seen = [layer for layer in self.layers("map") if layer.visible]
+        for drawn in self.layers("regions"):
+            if seen and len(drawn.data):
+                at = [(np.min(it, 0) + np.max(it, 0)) / 2 for it in drawn.data]
+                bright = _brightness(seen[-1], np.array(at)) > _BRIGHT
+                drawn.text.color = np.where(bright, "black", "white").tolist()
+
+    def show_difference(self, found: xr.Dataset) -> None:
+        """Show the one difference of a comparison, and its error where it has one.
+
+        Parameters
+        ----------
+        found
+            As from :func:`~optical_palpation.analysis.compare_results`, of two results.
+        """
+        self.forget_difference()
+        # an error is no difference to be coloured about zero
+        fields = found.isel(compared=0, drop=True).rename(
+            {name: new for name, new in _DIFFERENCE.items() if name in found}
+        )
+        other = str(found["compared"].values[0])
+        layers = map_layers(fields, only=list(_DIFFERENCE.values()))
+        for layer in layers:
+            about = layer.keywords["metadata"][KEY]
+            about |= {"comparison": True, "caption": f"{about['caption']}\n{other} less this"}
+        self.show(layers)
+        self.raise_regions()
+        self.view_maps([layers[-1].keywords["name"]])
+
+    def forget_difference(self) -> None:
+        """Remove the comparison, which is one with a stress that is no longer shown."""
+        for layer in list(self.layers("map")):
+            if layer.metadata[KEY].get("comparison"):
+                self.viewer.layers.remove(layer)
+
+    def raise_regions(self) -> None:
+        """Put the regions over maps that were not there before."""
+        layers = self.viewer.layers
+        for drawn in list(self.layers("regions")):
+            layers.move(layers.index(drawn), len(layers))
 
     def view_bscans(self, side: str) -> None:
         """Show the B-scans of a volume with what was found in it."""
@@ -131,12 +201,36 @@ class Workbench(QObject):
         self.viewer.scene.camera.orientation2d = ("up", "right")  # as in all figures
         self.viewer.canvas.overlays.scale_bar.visible = True
         self.viewer.reset_view()
+        self._leave_room()
+        self._caption()
+
+    def _leave_room(self) -> None:
+        """Show the maps smaller where the colour bar would lie on their corner."""
+        seen = [layer for layer in self.layers("map") if layer.visible]
+        if not seen:
+            return
+        # from centre to centre, and half a pixel at either end
+        size = np.max([np.ptp(it.extent.world, 0) + it.scale for it in seen], 0)
+        room = np.array(self.viewer.canvas.size) - 2 * np.array(_COLOUR_BAR)
+        if (room > 0).any():  # beside or below it, whichever is more
+            camera = self.viewer.scene.camera
+            camera.zoom = min(camera.zoom, float((room / size).max()))
 
     def title(self, given: Mapping[str, Any]) -> str:
         """What to call an input of a study."""
         if "thickness" in given:
             return f"{given['thickness']:g} mm"
         return Path(str(given.get("volume") or given.get("map") or "")).name
+
+
+def _brightness(image: Any, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Luminance, 0 to 1, of a map as it is shown at places (n, 2) in mm."""
+    pixels = np.round((places - image.translate) / image.scale).astype(int)
+    row, column = np.clip(pixels, 0, np.array(image.data.shape) - 1).T
+    low, high = image.contrast_limits
+    shares = np.nan_to_num((image.data[row, column] - low) / (high - low))
+    rgb = image.colormap.map(np.clip(shares, 0.0, 1.0))[:, :3]
+    return np.asarray(rgb**_GAMMA @ _LUMINANCE)
 
 
 def _update(old: Any, new: Layer) -> None:
