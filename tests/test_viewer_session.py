@@ -8,7 +8,7 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optical_palpation.analysis import Region, read_regions, write_regions
+from optical_palpation.analysis import Region, read_regions, traced, write_regions
 from optical_palpation.errors import InputError, MaterialError, OutputError
 from optical_palpation.present.terms import STATES
 from optical_palpation.study import read_study, run_study
@@ -28,7 +28,6 @@ from optical_palpation.viewer.layers import (
     volume_layer,
 )
 from optical_palpation.viewer.session import Session
-from optical_palpation.viewer.tracing import traced
 from optical_palpation.volume import open_volume
 from study_case import STUDY, UNLOADED, make_study, make_volumes
 from volume_samples import WRITERS, volume

@@ -13,6 +13,7 @@ from optical_palpation.analysis.profile import line_profile
 from optical_palpation.analysis.regions import Region, region_statistics
 from optical_palpation.analysis.resolution import EdgeResponse, edge_response
 from optical_palpation.analysis.roi_files import read_regions, write_regions
+from optical_palpation.analysis.tracing import traced
 from optical_palpation.analysis.uncertainty import Noise, propagate_uncertainty
 
 __all__ = [
@@ -33,5 +34,6 @@ __all__ = [
     "read_regions",
     "region_statistics",
     "stress_uncertainty",
+    "traced",
     "write_regions",
 ]

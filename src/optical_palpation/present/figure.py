@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from optical_palpation.analysis import Region
+from optical_palpation.analysis import Region, traced
 from optical_palpation.arguments import check_instance, in_words
 from optical_palpation.errors import InputError
 from optical_palpation.palpation.edges import NOTABLE
@@ -383,16 +383,18 @@ def _outline(axes: Axes, regions: Sequence[Region]) -> None:
     centres = []
     for region in regions:
         if region.mask is None:
-            lines = [np.vstack([outline, outline[:1]]) for outline in region.outlines]
+            outlines = region.outlines
             # of the largest: one within it is a hole
-            centres.append(max(map(_centre, region.outlines), key=lambda found: found[0])[1])
-        else:
-            lines = [_pixel_edges(region.mask, axes.get_xlim(), axes.get_ylim())]
+            centres.append(max(map(_centre, outlines), key=lambda found: found[0])[1])
+        else:  # pixels at the rim are seen in part
+            low, high = np.transpose([axes.get_xlim(), axes.get_ylim()])
+            outlines = tuple(np.clip(it, low, high) for it in traced(region).outlines)
             inside = region.mask.where(region.mask >= 0.5, 0.0)
             share = [float((inside * inside[axis]).sum() / inside.sum()) for axis in "xy"]
             centres.append(np.array(share))
-        for line in lines:
-            axes.plot(*line.T, color="white", lw=1.0, path_effects=halo)
+        for outline in outlines:
+            closed = np.vstack([outline, outline[:1]])
+            axes.plot(*closed.T, color="white", lw=1.0, path_effects=halo)
     if regions:
         _label(axes, [region.name for region in regions], centres)
 
@@ -405,26 +407,6 @@ def _centre(polygon: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
     area = float(twice.sum()) / 2
     middle = (a + b).T @ twice / (6 * area) if area else (polygon - start).mean(0)
     return abs(area), start + middle
-
-
-def _pixel_edges(
-    mask: xr.DataArray, across: tuple[float, float], up: tuple[float, float]
-) -> NDArray[np.float64]:
-    """Border of the pixels of a mask as lines with gaps, (n, 2), within what is shown of it."""
-    mask = mask.transpose("y", "x").sortby(["y", "x"])
-    inside = np.pad(mask.values >= 0.5, 1)
-    edges = []
-    for axis, shown in (("x", across), ("y", up)):
-        at = mask[axis].values
-        half = (at[-1] - at[0]) / (at.size - 1) / 2 if at.size > 1 else np.ptp(shown) / 2
-        edges.append(np.clip(np.append(at - half, at[-1] + half), *shown))
-    x, y = edges
-    gap = (np.nan, np.nan)
-    rows, columns = np.nonzero(inside[1:, 1:-1] != inside[:-1, 1:-1])
-    lines = [((x[j], y[i]), (x[j + 1], y[i]), gap) for i, j in zip(rows, columns, strict=True)]
-    rows, columns = np.nonzero(inside[1:-1, 1:] != inside[1:-1, :-1])
-    lines += [((x[j], y[i]), (x[j], y[i + 1]), gap) for i, j in zip(rows, columns, strict=True)]
-    return np.array(lines, dtype=float).reshape(-1, 2)
 
 
 def _label(axes: Axes, names: Sequence[str], centres: Sequence[NDArray[np.float64]]) -> None:

@@ -19,13 +19,18 @@ from qtpy.QtWidgets import (
     QVBoxLayout,
 )
 
-from optical_palpation.analysis import Region, read_regions, region_statistics, write_regions
+from optical_palpation.analysis import (
+    Region,
+    read_regions,
+    region_statistics,
+    traced,
+    write_regions,
+)
 from optical_palpation.errors import InputError, OpticalPalpationError
 from optical_palpation.present.tables import region_figure, write_table
 from optical_palpation.present.terms import is_map, rounded, term
 from optical_palpation.viewer.buttons import button_row
 from optical_palpation.viewer.layers import free_name, region_layer, regions_from, whole_of
-from optical_palpation.viewer.tracing import traced
 from optical_palpation.viewer.workbench import Workbench
 
 _COLUMNS = {

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from optical_palpation.analysis import Region, compare_results, region_statistics
+from optical_palpation.analysis import Region, compare_results, region_statistics, traced
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.figure import colour_map
 from optical_palpation.present.profiles import on_layer
@@ -217,46 +217,8 @@ def map_entries(
 
 def _outlines(region: Region) -> list[NDArray[np.float64]]:
     """Closed polygons of x and y in mm, the longest first; of a mask, along the edges of pixels."""
-    if region.mask is None:
-        return list(region.outlines)
-    mask = region.mask.transpose("y", "x").sortby(["y", "x"])
-    inside = np.pad(mask.values >= 0.5, 1)
-    edges = {axis: _edges(mask[axis].values) for axis in ("y", "x")}
-    # Sides between a pixel inside and one outside, from corner to corner, the inside on the left.
-    ahead: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    for rows, columns, start, end in (
-        (slice(None, -2), slice(1, -1), (0, 0), (0, 1)),  # outside below: to the right
-        (slice(2, None), slice(1, -1), (1, 1), (1, 0)),
-        (slice(1, -1), slice(2, None), (0, 1), (1, 1)),
-        (slice(1, -1), slice(None, -2), (1, 0), (0, 0)),
-    ):
-        for j, i in zip(*np.nonzero(inside[1:-1, 1:-1] & ~inside[rows, columns]), strict=True):
-            begin = int(j) + start[0], int(i) + start[1]
-            ahead.setdefault(begin, []).append((int(j) + end[0], int(i) + end[1]))
-    found = []
-    while ahead:
-        corner = first = next(iter(ahead))
-        loop: list[tuple[int, int]] = []
-        while not loop or corner != first:
-            loop.append(corner)
-            following = ahead[corner]
-            after = following.pop()
-            if not following:
-                del ahead[corner]
-            corner = after
-        corners = np.array(loop)
-        turns = (np.roll(corners, 1, axis=0) + np.roll(corners, -1, axis=0) != 2 * corners).any(1)
-        j, i = corners[turns].T
-        found.append((len(loop), np.stack([edges["x"][i], edges["y"][j]], axis=1)))
-    return [outline for _, outline in sorted(found, key=lambda entry: -entry[0])]
-
-
-def _edges(at: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Edges of pixels from their centres; a single one is taken to be 0.1 mm wide."""
-    if at.size == 1:
-        return np.array([at[0] - 0.05, at[0] + 0.05])
-    between = (at[1:] + at[:-1]) / 2
-    return np.concatenate([[2 * at[0] - between[0]], between, [2 * at[-1] - between[-1]]])
+    outlines = region.outlines if region.mask is None else traced(region).outlines
+    return sorted(outlines, key=lambda at: -np.abs(np.diff(at, axis=0, append=at[:1])).sum())
 
 
 def _profile_range(

@@ -1,15 +1,18 @@
-"""Outlines of masks, so that they can be shown and changed like any drawn region."""
+"""Outlines of masks, so that they can be drawn and changed like any other region."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optical_palpation.analysis import Region
+from optical_palpation.analysis.regions import Region
 
-# Corners about a pixel, in order, and the neighbour across the side that starts at each.
+#: Corners about a pixel, in order, and the neighbour across the side that starts at each.
 _CORNERS = ((0, 0), (0, 1), (1, 1), (1, 0))
 _NEIGHBOURS = ((-1, 0), (0, 1), (1, 0), (0, -1))
+
+#: Width of the pixel of a map that has no other, mm.
+_ALONE = 0.1
 
 
 def traced(region: Region) -> Region:
@@ -28,13 +31,18 @@ def traced(region: Region) -> Region:
         The same pixels, to the last one where the mask holds whole pixels.
     """
     assert region.mask is not None
-    y, x = (_between(region.mask[axis].values) for axis in ("y", "x"))
-    loops = _loops(region.mask.transpose("y", "x").values >= 0.5)
+    mask = region.mask.transpose("y", "x")
+    along = {axis: mask[axis].values for axis in "yx"}
+    steps = [abs(np.diff(at)).mean() for at in along.values() if at.size > 1]
+    y, x = (_between(at, min(steps, default=_ALONE)) for at in along.values())
+    loops = _loops(mask.values >= 0.5)
     return Region(region.name, tuple(np.stack([x[at[:, 1]], y[at[:, 0]]], -1) for at in loops))
 
 
-def _between(centres: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sides of pixels along an axis."""
+def _between(centres: NDArray[np.float64], width: float) -> NDArray[np.float64]:
+    """Sides of pixels along an axis; a single one has a width."""
+    if centres.size == 1:
+        return np.array([centres[0] - width / 2, centres[0] + width / 2])
     middle = (centres[1:] + centres[:-1]) / 2
     return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
 
