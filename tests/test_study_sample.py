@@ -498,7 +498,7 @@ def test_a_rigid_sample_and_an_unknown_one_are_said_in_the_report(finished, tmp_
     del alone.maps.attrs["sample_rigid"]
     write_report(tmp_path / "alone.html", alone, **nothing, **texts)
     page = re.sub("</?span[^>]*>", "", page_data(tmp_path / "alone.html")[0])
-    assert f"<li>{SOFT_SAMPLE[0].upper()}{SOFT_SAMPLE[1:]}</li>" in page
+    assert f"<summary>{SOFT_SAMPLE[0].upper()}{SOFT_SAMPLE[1:]}</summary>" in page
     alone.maps.attrs["sample_motion_largest_mm"] = 0.1
     write_report(tmp_path / "moved.html", alone, **nothing, **texts)
     assert "is taken not to move sideways" in SOFT_SAMPLE
