@@ -1219,7 +1219,10 @@ def test_a_strip_is_true_to_scale_whole_and_in_part(show, tmp_path, size):
     assert part[0] < 0.7 * along_x
 
 
-def test_downloads(page, tmp_path):
+@pytest.fixture
+def got(page, tmp_path):
+    """Click on a button of the page, and return the path of what it downloads."""
+
     def got(button):
         with page.expect_download() as waiting:
             page.locator(button).click()
@@ -1227,6 +1230,10 @@ def test_downloads(page, tmp_path):
         waiting.value.save_as(path)
         return path
 
+    return got
+
+
+def test_downloads(page, got):
     rows = got("#save-map").read_text().splitlines()
     assert rows[0] == "x (mm),y (mm),Computational stress (kPa)"
     table = [row.split(",") for row in rows[1:]]
@@ -1250,15 +1257,8 @@ def test_downloads(page, tmp_path):
     assert picture.std() > 20
 
 
-def test_pictures_end_where_the_map_ends(page, tmp_path):
+def test_pictures_end_where_the_map_ends(page, got):
     """Volumes and maps share a frame, of which a map may fill a part; its picture has no rim."""
-
-    def got(button):
-        with page.expect_download() as waiting:
-            page.locator(button).click()
-        path = tmp_path / waiting.value.suggested_filename
-        waiting.value.save_as(path)
-        return path
 
     choose(page, "algebraic")
     page.mouse.move(1, 1)

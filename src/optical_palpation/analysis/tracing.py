@@ -23,14 +23,16 @@ def traced(region: Region) -> Region:
     Parameters
     ----------
     region
-        One of a mask; pixels of which less than half belongs to it are left out.
+        Of a mask the pixels of which less than half belongs to it are left out; one that has
+        outlines stays as it is.
 
     Returns
     -------
     Region
         The same pixels, to the last one where the mask holds whole pixels.
     """
-    assert region.mask is not None
+    if region.mask is None:
+        return region
     mask = region.mask.transpose("y", "x")
     along = {axis: mask[axis].values for axis in "yx"}
     steps = [abs(np.diff(at)).mean() for at in along.values() if at.size > 1]

@@ -332,11 +332,11 @@ class _Elimination:
         # the whole layer's forces are what errors are compared with
         factor = scale * now.force_error / now.imbalance
         force = max(0.3 * self.tolerances.force, _KEEP * now.force_error / factor)
-        looser = force / self.tolerances.force if self.due.loose_volumes else 1.0
+        looser = max(1.0, force / self.tolerances.force) if self.due.loose_volumes else 1.0
         wanted = replace(
             self.tolerances,
             force=factor * force,
-            volume=max(max(looser, 1.0) * self.tolerances.volume, _KEEP * now.volume_error),
+            volume=max(looser * self.tolerances.volume, _KEEP * now.volume_error),
             iterations=self.due.iterations,
         )
         if met(now, wanted):

@@ -244,7 +244,7 @@ class Regions(QGroupBox):
             names = [str(n) for n in result.maps.data_vars if is_map(result.maps[n])]
             for name in names:
                 about = term(result.maps, name)
-                if about.colours not in ("states", "flags"):
+                if about.has_limits:
                     self.variable.addItem(about.label, name)
             at = self.variable.findData(before or "axial_stress")
             self.variable.setCurrentIndex(max(at, 0))

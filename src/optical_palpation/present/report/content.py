@@ -136,7 +136,7 @@ def map_entries(
         if str(variable) in known | {"quality"} or not is_map(field):
             continue
         what = term(maps, str(variable))
-        if what.colours in ("states", "flags") or not field.notnull().any():
+        if not what.has_limits or not field.notnull().any():
             continue
         group = "stress" if variable == "sample_youngs_modulus" else None
         force = 1.0 if variable == "contact_pressure" else 0.0
@@ -217,8 +217,9 @@ def map_entries(
 
 def _outlines(region: Region) -> list[NDArray[np.float64]]:
     """Closed polygons of x and y in mm, the longest first; of a mask, along the edges of pixels."""
-    outlines = region.outlines if region.mask is None else traced(region).outlines
-    return sorted(outlines, key=lambda at: -np.abs(np.diff(at, axis=0, append=at[:1])).sum())
+    return sorted(
+        traced(region).outlines, key=lambda at: -np.abs(np.diff(at, axis=0, append=at[:1])).sum()
+    )
 
 
 def _profile_range(
