@@ -156,6 +156,25 @@ def test_held_columns_stay_where_they_are(solved):
     assert balance(problem, after).imbalance < 0.1 * balance(problem, start).imbalance
 
 
+def test_columns_that_newtons_method_does_not_solve_come_to_rest_against_drag(solved, monkeypatch):
+    problem, start = solved.problem, disturbed(solved)
+    box = slice(0, 8), slice(0, 8)
+    whole, dragged = newton.iterate, []
+
+    def none_without_drag(now, *others):
+        if now.drag is None and now.force_error > 0.01:
+            raise NotConverged("not without drag")
+        dragged.append(now.drag)
+        return whole(now, *others)
+
+    monkeypatch.setattr(newton, "iterate", none_without_drag)
+    now = balance(problem, start)
+    columns = newton._Elimination(problem, TOLERANCES, None, newton.CARRIED)
+    after = columns._solved(start, box, now.imbalance / now.force_error)
+    assert any(dragged)
+    assert balance(problem, after).imbalance < 0.1 * now.imbalance
+
+
 def test_columns_without_an_equilibrium_are_left_to_the_whole_layer(solved, monkeypatch):
     """Nothing changes where the part alone does not converge."""
     problem, start = solved.problem, disturbed(solved)

@@ -276,10 +276,10 @@ class _Nested:
         """
         if balance(level, carried).force_error > _FAR:
             return None
-        state = self._balanced(level, carried, self._wanted(level))
-        if state is None and level.grid.n_elements > _QUICK:
-            state = self._settled(level, carried)
-        return state
+        nearest, reached = self._balanced(level, carried, self._wanted(level))
+        if reached:
+            return nearest
+        return self._settled(level, nearest) if level.grid.n_elements > _QUICK else None
 
     def _loaded(self, level: LayerProblem, carried: LayerState | None) -> LayerState:
         """Follow the load on a grid: from where it can be carried over, or from the beginning.
@@ -306,9 +306,10 @@ class _Nested:
             if 0.0 < before.load < 1.0:
                 carried = guide.at(before.load)
                 if balance(level, carried).force_error < _FAR_BEFORE:
-                    state = self._balanced(level, carried, self._on_the_way)
-                    if state is not None:
-                        remember_slip(level, state)
+                    state, reached = self._balanced(level, carried, self._on_the_way)
+                    if not reached:
+                        return None
+                    remember_slip(level, state)
                     return state
         return None
 
@@ -350,17 +351,30 @@ class _Nested:
 
     def _balanced(
         self, level: LayerProblem, state: LayerState, wanted: Tolerances
-    ) -> LayerState | None:
-        """Bring a state at its load into equilibrium; None where it is too far away."""
-        report = partial(self.on_iteration, level, state.load) if self.on_iteration else None
+    ) -> tuple[LayerState, bool]:
+        """Bring a state at its load into equilibrium.
+
+        Returns
+        -------
+        tuple
+            The state nearest to equilibrium, and whether it is one.
+        """
+        tried: list[Balance] = []
+
+        def keep(iteration: int, now: Balance, krylov: int) -> None:
+            if not tried or now.force_error < tried[-1].force_error:
+                tried[:] = [now]
+            if self.on_iteration:
+                self.on_iteration(level, state.load, iteration, now, krylov)
+
         linear = make_solver(level, self.solver)
         due = CARRIED if level.grid.n_elements > _QUICK else None
         try:
-            now, count = equilibrate(level, state, linear, impatient(wanted), report, eliminate=due)
+            now, count = equilibrate(level, state, linear, impatient(wanted), keep, eliminate=due)
         except NotConverged:
-            return None
+            return tried[0].state, False
         self.record.append((level.grid.n_elements, state.load, count))
-        return now.state
+        return now.state, True
 
     def _settled(self, level: LayerProblem, state: LayerState) -> LayerState | None:
         """Let a loaded layer come to rest; None where it does not."""

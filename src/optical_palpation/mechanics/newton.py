@@ -16,7 +16,7 @@ from .friction import direction_step, friction_direction
 from .grid import contact_nodes, face_and_sides
 from .iteration import DAMPING, Direction, HardSystem, NotConverged, Tolerances, iterate, met
 from .krylov import MultigridSolver
-from .path import Drag
+from .path import Drag, LoadNotReached, Path
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .side_contact import SideContact, side_contact
 from .side_flow import SideFlow
@@ -66,6 +66,10 @@ _CHORDS, _NEARER = 6, 0.5
 #: Share of the contact forces out of balance below which Newton's method is near its end, and the
 #: iterations of the linear solver that a step may then take.
 _CLOSE, _TO_THE_END = 1e-2, 200
+#: Farther from its end a step on a grid of more elements than the second number is taken as it is
+#: after so many iterations of the linear solver: where a rim folds, more of them cost more than
+#: another step.
+_ROUGH, _FINE = 8, 30_000
 #: Iterations of the linear solver from which on an exact one is the quicker on a small grid, and
 #: how many systems in a row it then solves.
 _LONG, _ROW = 40, 3
@@ -220,7 +224,9 @@ def _direction(
     """Return where fractions of a step lead that undoes an imbalance by a tangent."""
     state = now.state
     rhs = system.right_hand_side(problem, now)
-    du, dp, krylov = solver.solve(rhs, tolerances.linear, tolerances.krylov)
+    rough = now.force_error > _CLOSE and problem.grid.n_elements > _FINE
+    limit = min(tolerances.krylov, _ROUGH) if rough else tolerances.krylov
+    du, dp, krylov = solver.solve(rhs, tolerances.linear, limit)
     if not (np.isfinite(du).all() and np.isfinite(dp).all()):
         raise HardSystem("the linear system could not be solved")
     if krylov >= tolerances.krylov:
@@ -345,10 +351,17 @@ class _Elimination:
         iterative = MultigridSolver(problem.grid, problem.shear_modulus, free)
         solver = Solvers(iterative, direct_solver(problem))
         try:
-            now, _ = equilibrate(problem, own, solver, wanted, drag=drag, near=True)
+            found = equilibrate(problem, own, solver, wanted, drag=drag, near=True)[0].state
         except NotConverged:
-            return state
-        return put_back(state, box, problem, now.state)
+            if drag is not None:
+                return state
+            path = Path(LoadedLayer(problem, solver, None), wanted, wanted, own)
+            try:
+                path.settle()
+            except LoadNotReached:
+                return state
+            found = path.state
+        return put_back(state, box, problem, found)
 
 
 def equilibrate(
@@ -398,8 +411,11 @@ def equilibrate(
 
 
 def _stiffness(problem: LayerProblem) -> float:
-    """Shear modulus per thickness squared, kPa / mm^2."""
-    return problem.shear_modulus / float(np.median(problem.grid.thickness)) ** 2
+    """Shear modulus per square of the thickness, of a part of its least extent, kPa / mm^2."""
+    grid, least = problem.grid, float(np.median(problem.grid.thickness))
+    if any(problem.held):
+        least = min(least, grid.x[-1] - grid.x[0], grid.y[-1] - grid.y[0])
+    return problem.shear_modulus / least**2
 
 
 @dataclass
@@ -408,6 +424,7 @@ class LoadedLayer:
 
     problem: LayerProblem
     solver: LinearSolver | Solvers
+    eliminate: Due | None = SLOW
 
     @property
     def stiffness(self) -> float:
@@ -440,7 +457,13 @@ class LoadedLayer:
     ) -> tuple[Balance, int]:
         """Equilibrium at the load of ``trial``, and the Newton iterations; else NotConverged."""
         return equilibrate(
-            self.problem, trial, self.solver, tolerances, on_iteration, drag, eliminate=SLOW
+            self.problem,
+            trial,
+            self.solver,
+            tolerances,
+            on_iteration,
+            drag,
+            eliminate=self.eliminate,
         )
 
     def remember(self, state: LayerState) -> LayerState:

@@ -296,7 +296,7 @@ class Path(Generic[AnyState]):
         return kept
 
     def settle(self) -> None:
-        """Let fully loaded bodies that are not in equilibrium come to rest.
+        """Let loaded bodies that are not in equilibrium come to rest.
 
         How they get there is no part of their history: slip goes on counting from where it did at
         first.
@@ -305,7 +305,7 @@ class Path(Generic[AnyState]):
         ------
         LoadNotReached
         """
-        self._creep(1.0, _SNAP, _CARRIED, moves=False)
+        self._creep(self.state.load, _SNAP, _CARRIED, moves=False)
 
     def _creep(
         self,
