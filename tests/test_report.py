@@ -14,6 +14,7 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.testing import assert_allclose
 from PIL import Image
 
 from optical_palpation.errors import InputError, OutputError
@@ -22,7 +23,7 @@ from optical_palpation.palpation import algebraic_result
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present import write_report
 from optical_palpation.present.report.bscans import BYTES, draw_volume
-from optical_palpation.present.report.content import convergence_rows
+from optical_palpation.present.report.content import convergence_rows, map_entries
 from optical_palpation.present.report.document import _json
 from optical_palpation.present.report.maps import encode_floats, encode_map
 from optical_palpation.present.terms import common_limits
@@ -873,6 +874,16 @@ def test_uneven_and_large_maps_become_even():
     entry = encode_map(large)
     assert entry["shape"] == [3, 1000]
     assert decoded(entry)[:1000] == pytest.approx(np.arange(0, 3000, 3), rel=1e-4)
+
+
+def test_fractions_are_shown_in_percent():
+    result = stress_result()
+    share = 0.2 * result.maps["loaded_thickness"].astype(float)
+    result.maps["edge_influence"] = share.assign_attrs(units="1")
+    data = map_entries(result, None, None, {}, {}, [])
+    entry = data["maps"]["edge_influence"]
+    assert data["scales"][entry["scale"]]["units"] == "%"
+    assert_allclose(decoded(entry), 100 * share.values.ravel(), rtol=2e-3)
 
 
 def test_limits_of_constant_and_empty_maps():

@@ -38,6 +38,7 @@ from optical_palpation.present.terms import (
     QUALITY,
     STRESS,
     common_limits,
+    in_percent,
     is_map,
     percent,
     rounded,
@@ -72,7 +73,7 @@ def map_entries(
     regions: Sequence[Region],
 ) -> dict[str, Any]:
     """Maps, masks of interpolated pixels, colour scales and profiles for the page's data."""
-    maps = on_layer(result.maps)
+    maps = in_percent(on_layer(result.maps))
     stress, thickness = methods(result), thicknesses(result, loaded, unloaded)
     shown: dict[str, dict[str, Any]] = {}
     fields: dict[str, tuple[xr.DataArray, int]] = {}
