@@ -41,7 +41,8 @@ WORK_NOTES = """\
   may be faster.
 - *Newton iterations*: on all grids of the nested iteration, and on the finest.
 - *Krylov iterations*: in all linear solves together, each to a relative residual of 1e-2; in the
-  longest one; and how many solves stopped at the limit of ten, which happens where a layer snaps.
+  longest one; and how many solves stopped at their limit of 30 (100 on small grids), which happens
+  where a layer snaps.
 """
 
 

@@ -10,7 +10,7 @@ from math import ceil, floor, log10
 from pathlib import Path
 
 from optical_palpation.errors import InputError, InsufficientMemoryError
-from optical_palpation.mechanics.krylov import KEPT
+from optical_palpation.mechanics.krylov import KEPT, longest
 from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.mechanics.stack.assembly import Blocks, Mesh, count_elements
 from optical_palpation.mechanics.stencil import padded
@@ -33,8 +33,9 @@ _USABLE = 0.95
 #: How much larger elements may have to be to be proposed.
 _COARSEST = 64.0
 
-#: Krylov vectors of a linear solution that take memory; most need fewer.
-_DIRECTIONS = 10
+#: Krylov vectors of which ``_MULTIGRID`` knows, and those that a linear solution is taken to need
+#: where that many may be: easy layers need half of them, where a rim folds it may be all 30.
+_KNOWN, _DIRECTIONS = 10, 20
 
 
 def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> float:
@@ -50,7 +51,7 @@ def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> 
     Notes
     -----
     An estimate with constants that were measured; what it says of thin layers (fewer elements
-    through the thickness than along the sides) is within -10 and +40 %.
+    through the thickness than along the sides) is within -15 and +60 %.
     """
     nz1, ny1, nx1 = (n + 1 for n in shape)
     nodes = nz1 * ny1 * nx1
@@ -58,8 +59,9 @@ def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> 
         return nodes * (_MATRIX + _FACTORS * nz1 * min(nx1, ny1).bit_length())
     rows = nz1 * ny1 * padded(nx1)
     unknowns = 4 * nodes
-    kept = 4.0 * _DIRECTIONS * unknowns if unknowns <= KEPT else 0.0
-    return rows * _MULTIGRID + rows / nz1 * _FACE + kept + _FIXED
+    directions = min(longest(unknowns), _DIRECTIONS)
+    vectors = directions - _KNOWN + (directions if unknowns <= KEPT else 0)
+    return rows * _MULTIGRID + rows / nz1 * _FACE + 4.0 * vectors * unknowns + _FIXED
 
 
 def available_memory() -> float:
