@@ -6,14 +6,17 @@ import signal
 import subprocess
 import sys
 import time
+from multiprocessing import active_children
 
 import numpy as np
 import pandas as pd
+import psutil
 import pytest
 import xarray as xr
 
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.study import read_study, run_study
+from optical_palpation.study.crew import Crew
 from optical_palpation.study.watch import TABLE, Watch
 from study_case import STUDY, make_study, make_volumes, map_study
 
@@ -154,6 +157,56 @@ def test_volumes_against_an_unloaded_one_that_is_found_once(tmp_path):
     assert "start the watch again" in late.message
 
 
+def all_solved(crew, count, seconds=60):
+    found, end = [], time.monotonic() + seconds
+    while len(found) < count:
+        found += crew.solved()
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    assert not crew.busy
+    return {arrival.file: arrival for arrival in found}
+
+
+def test_two_processes_find_what_one_finds(maps):
+    """To the bit, on as many threads; what dies is begun again, and what dies twice has failed."""
+    names = [f"{n}.npy" for n in range(4)]
+    for n, name in enumerate(names):
+        np.save(maps / "in" / name, pressed(0.02 + 0.003 * n))
+    alone = Watch(maps / "study.toml", maps / "in", maps / "alone")
+    with Crew(alone) as crew:
+        for name in names:
+            crew.solve(maps / "in" / name)
+        assert set(all_solved(crew, 4)) == set(names)
+    watch = Watch(maps / "study.toml", maps / "in", maps / "beside")
+    with Crew(watch, 2) as crew:
+        for name in names[:3]:
+            crew.solve(maps / "in" / name)
+        first = active_children()
+        first[0].kill()
+        assert {arrival.status for arrival in all_solved(crew, 3).values()} <= {"done", "earlier"}
+        crew.solve(maps / "in" / names[3])
+        for _ in range(2):
+            while not (others := [child for child in active_children() if child.is_alive()]):
+                list(crew.solved())
+            for child in others:
+                child.kill()
+                child.join()
+        (lost,) = all_solved(crew, 1).values()
+        assert (lost.status, "died twice" in lost.message) == ("failed", True)
+    assert not active_children()
+    rows = table(maps / "beside")
+    assert list(rows["status"][names]) == ["done"] * 3 + ["failed"]
+    assert "died twice" in rows["message"][names[3]]
+    for name in names[:3]:
+        one, two = (
+            xr.load_dataset(maps / where / f"{name}.stress.nc", engine="h5netcdf")
+            for where in ("alone", "beside")
+        )
+        assert one["axial_stress"].equals(two["axial_stress"])
+    again = Watch(maps / "study.toml", maps / "in", maps / "beside")
+    assert again.solve(maps / "in" / names[3]).status == "done"
+
+
 def test_what_cannot_be_watched_is_refused(maps):
     with pytest.raises(InputError, match="no such folder"):
         Watch(maps / "study.toml", maps / "nowhere")
@@ -201,3 +254,28 @@ def test_the_command_tells_each_file_and_ends_with_ctrl_c(maps):
     )
     assert again.returncode == 0, again.stderr
     assert "1 by an earlier watch, 1 failed" in again.stdout
+
+
+def test_ctrl_c_ends_the_processes_too(maps):
+    np.save(maps / "in" / "good.npy", pressed(0.03))
+    command = [sys.executable, "-m", "optical_palpation", "watch", "in", "study.toml"]
+    process = subprocess.Popen(
+        [*command, "--settle", "0.1", "--workers", "2"],
+        cwd=maps,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    try:
+        assert "ready after" in process.stdout.readline()
+        assert process.stdout.readline().startswith("good.npy: force ")
+        workers = psutil.Process(process.pid).children(recursive=True)
+        assert len(workers) >= 2
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert (process.returncode, err) == (0, "")
+    assert "1 done, 0 failed" in out
+    assert not any(worker.is_running() for worker in workers)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import logging
-import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from optical_palpation.errors import InputError
+from optical_palpation.runtime.interrupts import interrupts_for_this_process
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -151,7 +150,7 @@ def connected(
     }
     with dask.config.set(settings):
         try:
-            with _interrupts_for_the_client_alone():
+            with interrupts_for_this_process():
                 cluster = distributed.LocalCluster(
                     n_workers=count,
                     threads_per_worker=1,
@@ -167,25 +166,6 @@ def connected(
             ) from error
         with cluster, distributed.Client(cluster) as client:
             yield Workers(client, memory)
-
-
-@contextmanager
-def _interrupts_for_the_client_alone() -> Iterator[None]:
-    """Let Ctrl-C pass by the processes that are started here, and those that their starter adds.
-
-    A terminal sends it to all of them, and workers would answer with a traceback each. The client
-    ends them. Threads and processes inherit the signals that are blocked; the resource tracker of
-    multiprocessing unblocks this one as it starts, so it goes first.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _workers_for(needs: Sequence[float | None], cores: int, memory: float) -> int:

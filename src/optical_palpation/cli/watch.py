@@ -58,6 +58,14 @@ def watch(
             "three times as long again.",
         ),
     ] = False,
+    workers: Annotated[
+        int,
+        typer.Option(
+            metavar="NUMBER",
+            help="Processes that solve a file each, and share the cores: for many small maps.",
+            min=1,
+        ),
+    ] = 1,
     threads: Threads = None,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Print nothing but failures.")
@@ -68,6 +76,7 @@ def watch(
     Every file gets a result, FILE.stress.nc, and a row in arrived.csv. One that fails is told and
     does not stop the watch; it is tried again if it changes.
     """
+    from optical_palpation.study.crew import Crew
     from optical_palpation.study.watch import TABLE, Watch
 
     watching = Watch(
@@ -80,23 +89,32 @@ def watch(
         threads=threads,
     )
     counts = {"done": 0, "failed": 0, "earlier": 0}
+
+    def tell_all(crew: Crew) -> bool:
+        """Print a line for each file that has been solved; whether there was one."""
+        before = sum(counts.values())
+        for arrival in crew.solved():
+            counts[arrival.status] += 1
+            _tell(arrival, quiet)
+        return sum(counts.values()) > before
+
     try:
         started = time.monotonic()
         with ProgressDisplay(quiet) as progress:
             watching.prepare(progress)
-        if not quiet:
-            print(
-                f"watching {folder}, ready after {time.monotonic() - started:.1f} s; Ctrl-C stops",
-                flush=True,
-            )
-        last = time.monotonic()
-        while idle is None or time.monotonic() < last + idle:
-            for path in watching.arrived():
-                arrival = watching.solve(path)
-                counts[arrival.status] += 1
-                _tell(arrival, quiet)
-                last = time.monotonic()
-            time.sleep(min(0.1, max(settle / 4, 0.02)))
+        with Crew(watching, workers) as crew:
+            if not quiet:
+                ready = time.monotonic() - started
+                print(f"watching {folder}, ready after {ready:.1f} s; Ctrl-C stops", flush=True)
+            last = time.monotonic()
+            while idle is None or crew.busy or time.monotonic() < last + idle:
+                news = False
+                for path in watching.arrived():
+                    crew.solve(path)
+                    news |= tell_all(crew)
+                if tell_all(crew) or news or crew.busy:
+                    last = time.monotonic()
+                time.sleep(min(0.1, max(settle / 4, 0.02)))
     except KeyboardInterrupt:
         pass
     if not quiet:

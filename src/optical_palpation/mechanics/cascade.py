@@ -25,7 +25,7 @@ from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .neighbours import Neighbours
 from .newton import CARRIED, Balance, LinearSolver, LoadedLayer, Solvers, balance, equilibrate
-from .path import LoadNotReached, Path, StepControl
+from .path import NEARLY, LoadNotReached, Path, StepControl
 from .problem import LayerProblem, LayerState
 from .untangle import untangled
 
@@ -276,10 +276,12 @@ class _Nested:
         """
         if balance(level, carried).force_error > _FAR:
             return None
-        nearest, reached = self._balanced(level, carried, self._wanted(level))
+        fine = level.grid.n_elements > _QUICK
+        nearly = NEARLY[0] if fine else 0.0  # drag would take long, and bring it no nearer
+        nearest, reached = self._balanced(level, carried, self._wanted(level), nearly)
         if reached:
             return nearest
-        return self._settled(level, nearest) if level.grid.n_elements > _QUICK else None
+        return self._settled(level, nearest) if fine else None
 
     def _loaded(self, level: LayerProblem, carried: LayerState | None) -> LayerState:
         """Follow the load on a grid: from where it can be carried over, or from the beginning.
@@ -350,20 +352,20 @@ class _Nested:
         return path.state
 
     def _balanced(
-        self, level: LayerProblem, state: LayerState, wanted: Tolerances
+        self, level: LayerProblem, state: LayerState, wanted: Tolerances, nearly: float = 0.0
     ) -> tuple[LayerState, bool]:
-        """Bring a state at its load into equilibrium.
+        """Bring a state at its load into equilibrium, or to a share ``nearly`` out of balance.
 
         Returns
         -------
         tuple
             The state nearest to equilibrium, and whether it is one.
         """
-        tried: list[Balance] = []
+        best: list[tuple[Balance, int]] = []
 
         def keep(iteration: int, now: Balance, krylov: int) -> None:
-            if not tried or now.force_error < tried[-1].force_error:
-                tried[:] = [now]
+            if not best or now.force_error < best[0][0].force_error:
+                best[:] = [(now, iteration)]
             if self.on_iteration:
                 self.on_iteration(level, state.load, iteration, now, krylov)
 
@@ -372,7 +374,9 @@ class _Nested:
         try:
             now, count = equilibrate(level, state, linear, impatient(wanted), keep, eliminate=due)
         except NotConverged:
-            return tried[0].state, False
+            now, count = best[0]
+            if now.force_error >= nearly:
+                return now.state, False
         self.record.append((level.grid.n_elements, state.load, count))
         return now.state, True
 

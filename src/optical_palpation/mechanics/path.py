@@ -47,7 +47,7 @@ _HELD = 50
 #: Share of the contact forces out of balance with which a state counts as nearly one of equilibrium
 #: where contact at a few nodes changes for ever, once Newton's method fails there: if there is
 #: another way, if there is none, and at last.
-_NEARLY = (1e-4, 1e-3, 0.02)
+NEARLY = (1e-4, 1e-3, 0.02)
 #: How much of the last change the bound of friction follows: at first, the least and the most.
 _RELAXATION = (0.5, 0.1, 2.0)
 #: Iterations of the linear solver that a load may take: more of them cost more than a smaller one.
@@ -338,7 +338,7 @@ class Path(Generic[AnyState]):
                 viscosity *= 4.0
                 step *= 0.5
                 over = viscosity > _MOST or step < _CREEP or self.spent > allowed
-                if left < _NEARLY[1 + over]:
+                if left < NEARLY[1 + over]:
                     return
                 if over:
                     raise self._stopped(failure) from None
@@ -366,10 +366,10 @@ class Path(Generic[AnyState]):
                 return
             wanted = self._tenth(rest.force_error)
             held += 1
-            at_rest = share < _STILL or rest.force_error < _NEARLY[0]
+            at_rest = share < _STILL or rest.force_error < NEARLY[0]
             left = rest.force_error if at_rest else np.inf
             if held > _HELD:
-                if left < _NEARLY[2]:
+                if left < NEARLY[2]:
                     return
                 raise self._stopped(self._restless())
             if share < _REST[0] and rest.force_error < min(near, _NEAR):
@@ -377,7 +377,7 @@ class Path(Generic[AnyState]):
                 try:
                     now, count = self._reach(self.state, impatient(self.tolerances))
                 except NotConverged:
-                    if left < _NEARLY[1]:
+                    if left < NEARLY[1]:
                         return
                     continue
                 self._accept(now.state, count)

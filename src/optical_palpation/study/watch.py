@@ -28,6 +28,7 @@ from optical_palpation.errors import InputError, OpticalPalpationError, OutputEr
 from optical_palpation.files import readable_name, replacing
 from optical_palpation.palpation import InputErrors, computational_stress
 from optical_palpation.palpation.result import StressResult
+from optical_palpation.palpation.threads import available_threads
 from optical_palpation.present.tables import result_columns
 from optical_palpation.runtime import software_version
 from optical_palpation.study.compute import algebraic_of, stress_of, thickness_of
@@ -164,6 +165,11 @@ class Watch:
             with open_input(study, source) as volume:
                 self._unloaded_facts = {"sha256": volume.sha256, "metadata": described(volume)}
                 self._unloaded = find_boundaries(volume, finding(source), fixes, tell)
+        self.warm_up(progress)
+
+    def warm_up(self, progress: Callable[[Any], None] | None = None) -> None:
+        """Load or compile the kernels, on a small layer."""
+        study = self._study
         size = study.grid.element_size or 0.1
         x, y, z = size if isinstance(size, tuple) else (size, size, size)
         at = np.linspace(0, 1, 33)
@@ -202,6 +208,21 @@ class Watch:
                 complete.append((max(changed for *_, changed in state), path))
         return [path for _, path in sorted(complete)]
 
+    def take(self, path: Path) -> None:
+        """Count a file as worked on as it is now."""
+        self._handled[path] = file_state(path)
+
+    def give_up(self, path: Path, why: str) -> Arrival:
+        """Write to the table why a file was not solved."""
+        row: dict[str, Any] = {"file": readable_name(path), "status": "failed", "message": why}
+        self._write_table(row)
+        return Arrival(row["file"], "failed", why, row)
+
+    def share_cores(self, workers: int) -> None:
+        """Use a part of the cores, unless the study or the caller says how many threads."""
+        if self._study.grid.threads is None:
+            self._changes |= {"grid.threads": max(1, available_threads() // workers)}
+
     def solve(self, path: Path, progress: Callable[[Any], None] | None = None) -> Arrival:
         """Compute the stress of a file that has arrived, write it, and add it to the table.
 
@@ -213,7 +234,7 @@ class Watch:
             If the result or the table cannot be written.
         """
         started = time.monotonic()
-        self._handled[path] = file_state(path)
+        self.take(path)
         row: dict[str, Any] = {"file": readable_name(path)}
         try:
             if file_state(self._file) != self._file_state:
