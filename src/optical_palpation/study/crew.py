@@ -95,7 +95,12 @@ class Crew:
             return
         self._watch.take(path)
         self._begun[path] += 1
-        self._under_way[self._pool.submit(_solve, path)] = path
+        try:
+            future = self._pool.submit(_solve, path)
+        except BrokenProcessPool:  # one died that had nothing to do
+            self._start()
+            future = self._pool.submit(_solve, path)
+        self._under_way[future] = path
 
     def solved(self) -> Iterator[Arrival]:
         """Go through what has been solved since the last time.
