@@ -93,8 +93,7 @@ def measured(code, *arguments):
 )
 def test_predicted_memory_is_what_a_run_takes(solver, size):
     shape, taken = measured(LAYER, solver, *size)
-    # this layer is an easy one: where a rim folds, linear solutions keep more vectors
-    assert 0.9 < memory.predicted_memory(tuple(shape), solver) / taken < 1.8
+    assert 0.9 < memory.predicted_memory(tuple(shape), solver) / taken < 1.5
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="peak memory is read as Linux tells it")

@@ -25,7 +25,7 @@ _GAMMA = 3.0
 #: Krylov iterations at which a linear solve ends whatever it has reached: many where they cost
 #: little, on the coarse grids on which the load is followed, few where their vectors would take
 #: more memory than all else.
-_LONGEST, _SMALL = (10, 30, 100), 200_000
+_LONGEST, SMALL = (10, 30, 100), 200_000
 #: What a vector keeps when the directions found before are taken out of it, below which rounding
 #: is too much of that and they are taken out again. A layer that snaps has a mode that the
 #: preconditioner blows up by thousands: every iteration would find it anew.
@@ -142,7 +142,7 @@ class MultigridSolver:
 
 def longest(unknowns: int) -> int:
     """Krylov iterations at which a linear solve ends."""
-    return _LONGEST[(unknowns <= KEPT) + (unknowns <= _SMALL)]
+    return _LONGEST[(unknowns <= KEPT) + (unknowns <= SMALL)]
 
 
 def _of_elements(field: NDArray[np.float64]) -> NDArray[np.float64]:

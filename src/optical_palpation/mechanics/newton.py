@@ -69,7 +69,7 @@ _CLOSE, _TO_THE_END = 1e-2, 200
 #: Farther from its end a step on a grid of more elements than the second number is taken as it is
 #: after so many iterations of the linear solver: where a rim folds, more of them cost more than
 #: another step.
-_ROUGH, _FINE = 8, 30_000
+_ROUGH, FINE = 8, 30_000
 #: Iterations of the linear solver from which on an exact one is the quicker on a small grid, and
 #: how many systems in a row it then solves.
 _LONG, _ROW = 40, 3
@@ -224,7 +224,7 @@ def _direction(
     """Return where fractions of a step lead that undoes an imbalance by a tangent."""
     state = now.state
     rhs = system.right_hand_side(problem, now)
-    rough = now.force_error > _CLOSE and problem.grid.n_elements > _FINE
+    rough = now.force_error > _CLOSE and problem.grid.n_elements > FINE
     limit = min(tolerances.krylov, _ROUGH) if rough else tolerances.krylov
     du, dp, krylov = solver.solve(rhs, tolerances.linear, limit)
     if not (np.isfinite(du).all() and np.isfinite(dp).all()):

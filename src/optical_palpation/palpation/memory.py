@@ -10,7 +10,7 @@ from math import ceil, floor, log10
 from pathlib import Path
 
 from optical_palpation.errors import InputError, InsufficientMemoryError
-from optical_palpation.mechanics.krylov import KEPT, longest
+from optical_palpation.mechanics.krylov import KEPT, SMALL
 from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.mechanics.stack.assembly import Blocks, Mesh, count_elements
 from optical_palpation.mechanics.stencil import padded
@@ -34,7 +34,7 @@ _USABLE = 0.95
 _COARSEST = 64.0
 
 #: Krylov vectors of which ``_MULTIGRID`` knows, and those that a linear solution is taken to need
-#: where that many may be: easy layers need half of them, where a rim folds it may be all 30.
+#: on a grid neither small nor huge: easy layers need half of them, one whose rim folds all 30.
 _KNOWN, _DIRECTIONS = 10, 20
 
 
@@ -51,7 +51,7 @@ def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> 
     Notes
     -----
     An estimate with constants that were measured; what it says of thin layers (fewer elements
-    through the thickness than along the sides) is within -15 and +80 %.
+    through the thickness than along the sides) is within -15 and +50 %.
     """
     nz1, ny1, nx1 = (n + 1 for n in shape)
     nodes = nz1 * ny1 * nx1
@@ -59,7 +59,7 @@ def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> 
         return nodes * (_MATRIX + _FACTORS * nz1 * min(nx1, ny1).bit_length())
     rows = nz1 * ny1 * padded(nx1)
     unknowns = 4 * nodes
-    directions = min(longest(unknowns), _DIRECTIONS)
+    directions = _DIRECTIONS if SMALL < unknowns <= KEPT else _KNOWN
     vectors = directions - _KNOWN + (directions if unknowns <= KEPT else 0)
     return rows * _MULTIGRID + rows / nz1 * _FACE + 4.0 * vectors * unknowns + _FIXED
 

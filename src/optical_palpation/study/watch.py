@@ -214,9 +214,14 @@ class Watch:
 
     def give_up(self, path: Path, why: str) -> Arrival:
         """Write to the table why a file was not solved."""
-        row: dict[str, Any] = {"file": readable_name(path), "status": "failed", "message": why}
+        row = {"file": readable_name(path)} | self._failed(path, why)
         self._write_table(row)
         return Arrival(row["file"], "failed", why, row)
+
+    def _failed(self, path: Path, why: str) -> dict[str, str]:
+        """Entries of the table for a file without a result; one of an earlier time is removed."""
+        self._result(path).unlink(missing_ok=True)
+        return {"status": "failed", "message": why}
 
     def share_cores(self, workers: int) -> None:
         """Use a part of the cores, unless the study or the caller says how many threads."""
@@ -257,8 +262,7 @@ class Watch:
             raise
         except OpticalPalpationError as error:
             message = str(error).replace(f"{self._file}: ", "").replace(f"{self._file}, ", "")
-            row |= {"status": "failed", "message": message}
-            self._result(path).unlink(missing_ok=True)
+            row |= self._failed(path, message)
         seconds = time.monotonic() - started
         row |= {
             "seconds": round(seconds, 3),
