@@ -242,10 +242,9 @@ def test_load_that_is_not_reached_leaves_older_results(here, capsys, monkeypatch
 def test_interrupt_while_solving(here):
     """Ctrl-C once the load is on its way: one line, status 130, no file."""
     before = files(here)
-    program = "from optical_palpation.cli import main; main()"
     arguments = [*GOOD, "--element-size", "0.03", "--threads", "1", "--plot", "o.png"]
     with subprocess.Popen(
-        [sys.executable, "-c", program, "stress", *arguments],
+        [sys.executable, "-m", "optical_palpation", "stress", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

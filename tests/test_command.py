@@ -195,6 +195,30 @@ main()
     assert done.stdout == "went on\n"
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_a_signal_leaves_half_made_says_nothing(number):
+    script = f"""
+import signal, sys
+from optical_palpation import cli
+from optical_palpation.__main__ import main
+
+class Foreign:
+    def __init__(self):
+        signal.raise_signal({int(number)})
+        self.handle = 1
+
+    def __del__(self):
+        self.handle
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+cli.app = lambda *_, **__: Foreign()
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == (130 if number == signal.SIGINT else 143)
+    assert "AttributeError" not in done.stderr
+
+
 def wait_until_it_runs(begun):
     """Wait until Python has taken care of the signals: they are caught, as the kernel tells."""
     status = Path(f"/proc/{begun.pid}/status")

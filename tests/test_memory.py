@@ -93,7 +93,8 @@ def measured(code, *arguments):
 )
 def test_predicted_memory_is_what_a_run_takes(solver, size):
     shape, taken = measured(LAYER, solver, *size)
-    assert 0.9 < memory.predicted_memory(tuple(shape), solver) / taken < 1.5
+    # this layer is easy: one whose rim folds takes up to 1.6 times as much
+    assert 0.9 < memory.predicted_memory(tuple(shape), solver) / taken < 1.6
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="peak memory is read as Linux tells it")

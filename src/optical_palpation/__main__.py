@@ -12,6 +12,8 @@ from types import FrameType
 _INTERRUPTED, _TERMINATED = 130, 143
 _AGAIN = 0.02
 """Seconds until a signal is looked at again."""
+_ended = False
+"""Whether a signal has ended the command."""
 
 
 def main() -> None:
@@ -49,23 +51,28 @@ def _leave(number: int, frame: object) -> None:
 
 def _end(number: int, frame: FrameType | None) -> None:
     """End by an exception, so that nothing half-written is left."""
+    global _ended
     # An extension that is being imported may lose the exception, or make an ImportError of it.
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
             return _send_again(number)
         frame = frame.f_back
+    _ended = True
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     raise SystemExit(_TERMINATED)
 
 
 def _unraisable(lost: "sys.UnraisableHookArgs") -> None:
-    """Keep a signal whose exception came where none can be raised, as in a callback from C."""
+    """Keep a signal whose exception came where none can be raised, as in a callback from C.
+
+    What a signal leaves half-made fails as it is cleared away, of which nobody needs to read.
+    """
     if lost.exc_type is KeyboardInterrupt:
         _send_again(signal.SIGINT)
     elif lost.exc_type is SystemExit:
         _send_again(signal.SIGTERM)
-    else:
+    elif not _ended:
         sys.__unraisablehook__(lost)
 
 
