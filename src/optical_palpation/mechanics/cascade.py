@@ -364,10 +364,12 @@ class _Nested:
         best: list[tuple[Balance, int]] = []
 
         def keep(iteration: int, now: Balance, krylov: int) -> None:
-            if not best or now.force_error < best[0][0].force_error:
-                best[:] = [(now, iteration)]
             if self.on_iteration:
                 self.on_iteration(level, state.load, iteration, now, krylov)
+            if not best or now.force_error < best[0][0].force_error:
+                best[:] = [(now, iteration)]
+            elif best[0][0].force_error < nearly:
+                raise NotConverged("the error grows again, nearly in equilibrium")
 
         linear = make_solver(level, self.solver)
         due = CARRIED if level.grid.n_elements > _QUICK else None
