@@ -55,9 +55,12 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(items):
-    """Mark the quick ones; files with slow tests go first, so that all workers end together."""
+    """Mark the quick ones; files with slow tests go first, so that all workers end together.
+
+    The very first compiles kernels of its own: all others would wait for those that they share.
+    """
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    items.sort(key=lambda item: (item.path.stem != "test_public_numba", item.path not in slow))
     for item in items:
         if item.path.stem.removeprefix("test_") in QUICK and not item.get_closest_marker("slow"):
             item.add_marker("quick")
