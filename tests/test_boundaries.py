@@ -208,6 +208,9 @@ def test_anchor_leads_the_surface_and_exclusion_leaves_it_out(tmp_path):
     right = find_layer(stack, spacing=SPACING, scale="linear", corrections=path)
     assert np.median(np.abs(right.sample_depth.values - depth)) / SPACING[0] < 3
     assert right.filled.values[20:41, 30:51].all()
+    assert right.sample_filled.values[20:41, 30:51].all()
+    assert not right.window_filled.values[20:41, 30:51].any()
+    assert right.filled.equals(right.window_filled | right.sample_filled)
 
 
 @pytest.mark.parametrize(

@@ -816,7 +816,9 @@ def test_large_volume_is_thinned(tmp_path):
             "window_depth": (grid, depth),
             "sample_depth": (grid, depth + 0.1),
             "thickness": (grid, 0 * depth + 0.1),
-            "filled": (grid, depth < 0),
+            "filled": (grid, depth > Z0 + 0.31),
+            "window_filled": (grid, depth < 0),
+            "sample_filled": (grid, depth > Z0 + 0.31),
         },
         {"y": Y0 + DY * np.arange(ny), "x": X0 + DX * np.arange(nx)},
     )
@@ -832,6 +834,10 @@ def test_large_volume_is_thinned(tmp_path):
     assert np.corrcoef(picture.ravel(), level.ravel())[0, 1] > 0.9
     lines = decoded(entry["lines"]["window"]).reshape(46, 367)
     assert lines[20] == pytest.approx(depth[100, ::3], abs=1e-4)
+    made_up = decoded(entry["lines"]["sample_filled"]).reshape(46, 367)
+    assert (made_up[20] == (depth[100, ::3] > Z0 + 0.31)).all()
+    assert made_up.any()
+    assert not decoded(entry["lines"]["window_filled"]).any()
     below = (Z0 + DZ * np.arange(nz))[:, None, None] >= depth + 0.1
     brightest = 20 * np.log10(np.where(below, content, 0).max(0))
     offset = projection.values - brightest

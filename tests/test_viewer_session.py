@@ -65,11 +65,14 @@ def found(shape=(50, 80)) -> xr.Dataset:
     random = np.random.default_rng(3)
     top = 0.15 + 0.01 * random.random(shape)
     here = {"y": y, "x": x}
+    window, sample = random.random((2, *shape)) < 0.1
     return xr.Dataset(
         {
             "window_depth": (("y", "x"), top),
             "sample_depth": (("y", "x"), top + 0.1),
-            "filled": (("y", "x"), random.random(shape) < 0.1),
+            "filled": (("y", "x"), window | sample),
+            "window_filled": (("y", "x"), window),
+            "sample_filled": (("y", "x"), sample),
         },
         here,
     )
@@ -88,7 +91,8 @@ def test_boundaries_lie_where_they_were_found():
         assert np.allclose(x, layer["x"].values[:-1])
         assert np.allclose(ends[:, 1, 2], FRAME.spacing[2])  # from A-scan to A-scan
         colours = shown.keywords["edge_color"].reshape(50, 79)
-        made_up = layer["filled"].values[:, :-1] | layer["filled"].values[:, 1:]
+        filled = layer[f"{name}_filled"].values
+        made_up = filled[:, :-1] | filled[:, 1:]
         assert (colours[made_up] == COLOURS["filled"]).all()
         assert (colours[~made_up] == COLOURS[name]).all()
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.present.figure import draw_map, figure_file, letter
 from optical_palpation.present.terms import percent, term
+from optical_palpation.thickness.boundaries import side_filled
 from optical_palpation.thickness.intensity import intensity_reader
 
 if TYPE_CHECKING:
@@ -93,13 +94,13 @@ def _bscan(axes: Axes, line: xr.Dataset, intensity: NDArray[np.float32], volume:
         line["x"], depth, decibels, shading="nearest", cmap="gray", vmin=low, vmax=high,
         rasterized=True,
     )  # fmt: skip
-    filled = line["filled"].values
     for name, colour in (("window", _WINDOW), ("sample", _SAMPLE)):
         boundary = line[f"{name}_depth"].values
         axes.plot(line["x"], boundary, color=colour, lw=1.2, label=f"{name} side")
-    if filled.any():
-        made_up = np.where(filled, line["sample_depth"].values, np.nan)
-        axes.plot(line["x"], made_up, color=_FILLED, lw=2.5, label="interpolated")
+        filled = side_filled(line, name).values
+        if filled.any():
+            made_up = np.where(filled, boundary, np.nan)
+            axes.plot(line["x"], made_up, color=_FILLED, lw=2.5, label="interpolated")
     deepest = float(line["sample_depth"].max() + line["thickness"].mean())
     axes.set(xlabel="x (mm)", ylabel="depth (mm)", ylim=(min(depth[-1], deepest), depth[0]))
 

@@ -140,9 +140,10 @@ def find_layer(
     xarray.Dataset
         On (y, x): ``window_depth``, ``sample_depth`` and ``thickness`` in mm, ``quality`` in
         [0, 1] (the lower Michelson contrast of the two boundaries, lower where a reflection
-        outshines the sample, 0 where interpolated), ``filled`` (True where one of the boundaries
-        was not seen, or was an outlier, and was interpolated) and ``specular`` (True where there is
-        such a reflection, which may draw the boundary to itself).
+        outshines the sample, 0 where interpolated), ``window_filled`` and ``sample_filled`` (True
+        where the boundary was not seen, or was an outlier, and was interpolated), ``filled`` (True
+        where either of them was) and ``specular`` (True where there is such a reflection, which may
+        draw the boundary to itself).
 
     Raises
     ------
@@ -328,6 +329,8 @@ class LayerFinder:
                 "thickness": scan.map(dz * (bottom - top), "thickness of the layer", "mm"),
                 "quality": scan.map(quality, "contrast of the weaker boundary", "1"),
                 "filled": scan.map(filled, "interpolated", "1"),
+                "window_filled": scan.map(top_filled, "window side interpolated", "1"),
+                "sample_filled": scan.map(bottom_filled, "sample side interpolated", "1"),
                 "specular": scan.map(
                     specular.copy(), "as bright as a reflection, near or at the pixel", "1"
                 ),
@@ -339,6 +342,19 @@ class LayerFinder:
                 "filled_share": float(np.mean(filled)),
             },
         )
+
+
+def side_filled(found: xr.Dataset, side: str) -> xr.DataArray:
+    """Where a boundary is interpolated; files of older versions tell only that one of both is.
+
+    Parameters
+    ----------
+    found
+        As from :func:`find_layer`.
+    side
+        ``window`` or ``sample``.
+    """
+    return found.get(f"{side}_filled", found["filled"])
 
 
 def find_surface(

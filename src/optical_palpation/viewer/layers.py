@@ -21,6 +21,7 @@ from optical_palpation.errors import InputError
 from optical_palpation.present.figure import colour_map
 from optical_palpation.present.terms import STATE_NUMBERS, STATES, common_limits, is_map, term
 from optical_palpation.thickness import Corrections
+from optical_palpation.thickness.boundaries import side_filled
 from optical_palpation.thickness.corrections import Anchor, Boundary, Exclusion
 from optical_palpation.volume import Volume, VolumeMetadata
 
@@ -162,10 +163,10 @@ def boundary_layers(found: xr.Dataset, frame: Frame, side: str) -> list[Layer]:
         ``unloaded`` or ``loaded``, for the name.
     """
     result = []
-    filled = found["filled"].values
     (_, dy, dx), z0 = frame.spacing, frame.origin[0]
     for boundary in BOUNDARIES:
         depth = found[f"{boundary}_depth"].values
+        filled = side_filled(found, boundary).values
         y, x = np.indices(depth.shape)
         # along z in units of the spacing along x, so that lines are as wide along both
         points = np.stack([(depth - z0) / dx, y, x], -1).astype(np.float32)

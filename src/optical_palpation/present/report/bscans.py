@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.errors import InputError
 from optical_palpation.present.report.maps import encode_bytes, encode_floats, stride
+from optical_palpation.thickness.boundaries import side_filled
 
 if TYPE_CHECKING:
     from optical_palpation.volume import Volume
@@ -99,7 +100,8 @@ def draw_volume(
         for side in ("window", "sample"):
             values = layer[f"{side}_depth"].values[rows, columns]
             entry["lines"][side] = encode_floats(values, digits=4)
-        entry["lines"]["filled"] = encode_bytes(layer["filled"].values[rows, columns])
+            filled = side_filled(layer, side).values[rows, columns]
+            entry["lines"][f"{side}_filled"] = encode_bytes(filled)
         entry["x"] = [float(x[0]), float(dx * block[1])]
     return entry, xr.DataArray(projection, {"y": y, "x": x}, ("y", "x"))
 

@@ -101,7 +101,9 @@ function linkScans(scans) {
     boundaries.parentElement.hidden = zoomed.parentElement.hidden = true;
     document.getElementById("lines-legend").hidden = true;
   }
-  const interpolated = scans.some((plot) => plot.entry.lines.filled?.some((of) => of));
+  const interpolated = scans.some(({ entry: { lines } }) =>
+    ["window", "sample"].some((side) => lines[`${side}_filled`]?.some((of) => of)),
+  );
   document.getElementById("unseen-label").hidden = !interpolated;
 }
 
