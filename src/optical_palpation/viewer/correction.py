@@ -185,15 +185,8 @@ class Correction(QGroupBox):
 
     def _ask_to_load(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Corrections", filter="*.txt;;*")
-        self._try(self.load, path)
+        self._bench.attempt(self.load, path)
 
     def _ask_to_save(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Corrections", "corrections.txt")
-        self._try(self.save, path)
-
-    def _try(self, call: Any, path: str) -> None:
-        if path:
-            try:
-                call(path)
-            except OpticalPalpationError as error:
-                self._bench.said.emit(str(error))
+        self._bench.attempt(self.save, path)

@@ -16,7 +16,6 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from optical_palpation.errors import OpticalPalpationError
 from optical_palpation.viewer.buttons import button_row
 from optical_palpation.viewer.correction import Correction
 from optical_palpation.viewer.measurement import Measurement
@@ -88,7 +87,7 @@ class Panel(QWidget):
 
     def try_open_study(self, path: str) -> None:
         """Take up a study file, and say what is wrong with one that cannot be used."""
-        self._try(self.open_study, path)
+        self.bench.attempt(self.open_study, path)
 
     def save_study(self, path: str) -> None:
         """Write what was done as a study file, which ``optical-palpation run`` repeats.
@@ -139,11 +138,4 @@ class Panel(QWidget):
 
     def _ask_to_save(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Study", "study.toml", filter="*.toml")
-        self._try(self.save_study, path)
-
-    def _try(self, call: Any, path: str) -> None:
-        if path:
-            try:
-                call(path)
-            except OpticalPalpationError as error:
-                self._say(str(error))
+        self.bench.attempt(self.save_study, path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from optical_palpation.analysis import (
     traced,
     write_regions,
 )
-from optical_palpation.errors import InputError, OpticalPalpationError
+from optical_palpation.errors import InputError
 from optical_palpation.present.tables import region_figure, write_table
 from optical_palpation.present.terms import is_map, rounded, term
 from optical_palpation.viewer.buttons import button_row
@@ -260,22 +259,15 @@ class Regions(QGroupBox):
         path, _ = QFileDialog.getOpenFileName(
             self, "Regions", filter="*.roi *.zip *.csv *.tif *.tiff *.png *.npy;;*"
         )  # fmt: skip
-        self._try(self.load, path)
+        self._bench.attempt(self.load, path)
 
     def _ask_for_regions(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Regions", "regions.csv")
-        self._try(self.save_regions, path)
+        self._bench.attempt(self.save_regions, path)
 
     def _ask_for_table(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Table", "table.csv")
-        self._try(self.save_table, path)
-
-    def _try(self, call: object, path: str) -> None:
-        if path:
-            try:
-                call(str(Path(path)))  # type: ignore[operator]
-            except OpticalPalpationError as error:
-                self._bench.said.emit(str(error))
+        self._bench.attempt(self.save_table, path)
 
 
 def _cell(found: xr.Dataset, name: str, row: int) -> str:

@@ -165,11 +165,7 @@ class Solving(QGroupBox):
 
     def _ask_to_compare(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Result", filter="*.nc")
-        if path:
-            try:
-                self.compare(path)
-            except OpticalPalpationError as error:
-                self._bench.said.emit(str(error))
+        self._bench.attempt(self.compare, path)
 
     def _show_result(self, result: StressResult) -> None:
         bench = self._bench

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from napari.layers import Layer as NapariLayer
 from numpy.typing import NDArray
 from qtpy.QtCore import QObject, Signal
 
+from optical_palpation.errors import OpticalPalpationError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.viewer.background import Background
 from optical_palpation.viewer.layers import KEY, Layer, map_layers, volume_layer
@@ -47,6 +48,14 @@ class Workbench(QObject):
         self.session = Session()
         self.background = Background(self)
         self.result: StressResult | None = None
+
+    def attempt(self, action: Callable[[str], object], path: str) -> None:
+        """Do something with a file that was chosen, if one was; tell the user what is wrong."""
+        if path:
+            try:
+                action(path)
+            except OpticalPalpationError as error:
+                self.said.emit(str(error))
 
     def take_up(self, session: Session) -> None:
         """Work on another study, and show its volumes."""
