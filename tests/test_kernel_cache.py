@@ -12,12 +12,14 @@ import optical_palpation
 from optical_palpation.runtime.kernels import CheckedFile
 from optical_palpation.runtime.source import PACKAGE, modules_digest, source_digest
 
+# Kernels are looked for when their module is executed: in each folder anew, by the same process.
 RUN = """
-import hashlib, sys
+import hashlib, importlib, sys
+import numba
 import numpy as np
 from numba.core import event
 from optical_palpation.volume import lzw
-from optical_palpation.mechanics.imprint import Imprint
+from optical_palpation.mechanics import imprint
 
 class Compiling(event.Listener):
     count = 0
@@ -26,33 +28,40 @@ class Compiling(event.Listener):
     def on_end(self, event):
         pass
 
-seen = Compiling()
-with event.install_listener("numba:compile", seen):
-    x = np.linspace(0.0, 1.0, 5)
-    field = np.cos(7 * np.add.outer(x, x))
-    found = Imprint(x, x, np.ones((5, 5)), 1 + 0.1 * field).evaluate(x, x, 1.0)
-print(seen.count, hashlib.sha256(np.asarray(found).tobytes()).hexdigest())
+x = np.linspace(0.0, 1.0, 5)
+field = np.cos(7 * np.add.outer(x, x))
+for folder in sys.argv[1:] or [numba.config.CACHE_DIR]:
+    numba.config.CACHE_DIR = folder
+    importlib.reload(imprint)
+    seen = Compiling()
+    with event.install_listener("numba:compile", seen):
+        found = imprint.Imprint(x, x, np.ones((5, 5)), 1 + 0.1 * field).evaluate(x, x, 1.0)
+    print(seen.count, hashlib.sha256(np.asarray(found).tobytes()).hexdigest())
 """
 
 
-def evaluate(cache: Path, **environment) -> tuple[int, str, str]:
-    """Evaluate an imprint in a new process: kernels compiled, digest of the result, complaints."""
+def evaluate(*caches: Path, **environment) -> tuple[list[int], set[str], str]:
+    """Evaluate an imprint with each cache, in a new process.
+
+    Kernels compiled each time, different digests of the results, complaints.
+    """
     done = subprocess.run(
-        [sys.executable, "-c", RUN],
-        env=os.environ | {"NUMBA_CACHE_DIR": str(cache), **environment},
+        [sys.executable, "-c", RUN, *map(str, caches)],
+        env=os.environ | {"NUMBA_CACHE_DIR": str(caches[0]), **environment},
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    compiled, digest = done.stdout.split()
-    return int(compiled), digest, done.stderr
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert len(lines) == len(caches)
+    return [int(compiled) for compiled, _ in lines], {digest for _, digest in lines}, done.stderr
 
 
 @pytest.fixture(scope="module")
 def warm(tmp_path_factory):
     """A folder of compiled kernels, and the result that they give."""
     folder = tmp_path_factory.mktemp("kernels")
-    compiled, digest, said = evaluate(folder)
+    (compiled,), (digest,), said = evaluate(folder)
     assert compiled > 0
     assert said == ""
     return folder, digest
@@ -64,29 +73,34 @@ def cache(warm, tmp_path):
 
 
 def test_kernels_are_compiled_once_and_give_the_same_to_the_last_bit(warm, cache):
-    assert evaluate(cache) == (0, warm[1], "")
+    assert evaluate(cache) == ([0], {warm[1]}, "")
+
+
+def damaged(content: bytes) -> dict[str, bytes]:
+    """What may have become of a file with this content."""
+    middle = len(content) // 2
+    return {
+        "empty": b"",
+        "cut": content[: len(content) // 3],
+        "flipped": content[:middle] + bytes([content[middle] ^ 0x10]) + content[middle + 1 :],
+        "text": b"no kernel\n" * 50,
+    }
 
 
 @pytest.mark.parametrize("ending", [".nbi", ".nbc"])
-@pytest.mark.parametrize("damage", ["empty", "cut", "flipped", "text"])
-def test_damaged_kernels_are_compiled_anew(warm, cache, ending, damage):
-    files = sorted(cache.rglob(f"imprint.*{ending}"))
-    assert files
-    for file in files:
-        content = bytearray(file.read_bytes())
-        if damage == "flipped":
-            content[len(content) // 2] ^= 0x10
-        file.write_bytes(
-            {
-                "empty": b"",
-                "cut": content[: len(content) // 3],
-                "flipped": content,
-                "text": b"no kernel\n" * 50,
-            }[damage]
-        )
-    _, digest, said = evaluate(cache)
-    assert (digest, said) == (warm[1], "")
-    assert evaluate(cache) == (0, warm[1], "")  # and mended
+def test_damaged_kernels_are_compiled_anew(warm, tmp_path, ending):
+    caches = []
+    for damage in damaged(b"..."):
+        caches.append(shutil.copytree(warm[0], tmp_path / damage))
+        files = list(caches[-1].rglob(f"imprint.*{ending}"))
+        assert files
+        for file in files:
+            file.write_bytes(damaged(file.read_bytes())[damage])
+    # the second time shows whether they are mended
+    compiled, digests, said = evaluate(*(cache for cache in caches for _ in range(2)))
+    assert (digests, said) == ({warm[1]}, "")
+    assert compiled[0] > 0  # nothing is left in an empty file
+    assert set(compiled[1::2]) == {0}
 
 
 def test_processes_that_compile_at_once_never_take_each_others_kernel(tmp_path):
@@ -126,7 +140,7 @@ def test_a_full_disk_is_said_once_and_does_no_harm(warm, tmp_path):
 
 def test_a_folder_that_is_a_file_is_done_without(warm, tmp_path):
     (tmp_path / "file").touch()
-    assert evaluate(tmp_path / "file" / "kernels")[1] == warm[1]
+    assert evaluate(tmp_path / "file" / "kernels")[1] == {warm[1]}
 
 
 def test_kernels_of_another_code_are_not_taken(tmp_path):
@@ -138,12 +152,14 @@ def test_kernels_of_another_code_are_not_taken(tmp_path):
         ignore=shutil.ignore_patterns("__pycache__"),
     )
     environment = {"PYTHONPATH": str(tmp_path)}
-    first = evaluate(tmp_path / "kernels", **environment)
-    assert evaluate(tmp_path / "kernels", **environment)[0] == 0
+    kernels = tmp_path / "kernels"
+    first = evaluate(kernels, kernels, **environment)
+    assert first[0][0] > 0
+    assert first[0][1] == 0
     called = package / "parallel.py"
     called.write_text(called.read_text() + "\n# another\n")
-    again = evaluate(tmp_path / "kernels", **environment)
-    assert again[0] > 0
+    again = evaluate(kernels, **environment)
+    assert again[0][0] > 0
     assert again[1] == first[1]
 
 
