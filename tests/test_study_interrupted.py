@@ -66,7 +66,8 @@ def undisturbed(tmp_path_factory):
     """A folder with a finished study, run twice so that all is compiled."""
     folder = tmp_path_factory.mktemp("undisturbed")
     make_volumes(folder)
-    make_study(folder, STUDY + '[outputs]\nwrite = ["vtk", "profiles", "report"]\n')
+    rest = '[errors]\nestimates = false\n[outputs]\nwrite = ["vtk", "profiles", "report"]\n'
+    make_study(folder, STUDY + rest)
     for _ in range(2):
         shutil.rmtree(folder / "study-results", ignore_errors=True)
         assert finish(start(folder)) == 0
@@ -92,35 +93,41 @@ def test_killed_at_random_moments(undisturbed, tmp_path):
         stage["seconds"] for stage in record(undisturbed / "study-results")["stages"].values()
     ]
 
-    def kill_and_resume(n: int) -> bool:
-        folder = tmp_path / str(n)
+    def kill_and_resume(stages: list[int]) -> int:
+        folder = tmp_path / str(stages[0])
         folder.mkdir()
         for path in undisturbed.glob("*.*"):
             (folder / path.name).hardlink_to(path)
         results = folder / "study-results"
-        # Somewhere in stage n; how long it takes depends on what else the machine does.
-        process = start(folder)
-        if n:
-            wait_for(n, results)
-        time.sleep(random.Random(n).random() * seconds[n])
-        process.kill()
-        killed = finish(process) == -signal.SIGKILL
-        before = check_whole(results, expected)
+        killed, before = 0, {}
+        for n in stages:
+            # Somewhere in stage n; how long it takes depends on what else the machine does.
+            process = start(folder)
+            if n:
+                wait_for(n, results)
+            time.sleep(random.Random(n).random() * seconds[n])
+            process.kill()
+            killed += finish(process) == -signal.SIGKILL
+            after = check_whole(results, expected)
+            # What was finished was not done again: its time stamp is the old one.
+            assert {name: after[name] for name in before} == before
+            before = after
 
         assert finish(start(folder)) == 0
         after = record(results)
         assert after["complete"] is True
-        # What was finished was not done again: its time stamp is the old one.
         assert {name: after["stages"][name] for name in before} == before
-        # The same files to the last bit, and no leftovers of the run that was killed.
+        # The same files to the last bit, and no leftovers of the runs that were killed.
         assert {p.name for p in results.iterdir()} == {".lock", *expected}
         for name in expected.keys() - {RECORD}:
             assert (results / name).read_bytes() == expected[name], name
         return killed
 
-    with ThreadPoolExecutor(4) as pool:
-        killed = list(pool.map(kill_and_resume, range(len(seconds))))
-    assert sum(killed) >= len(seconds) - 2  # the last may come too late
+    # Killed in every stage; each run that is killed has first gone on from an earlier one.
+    studies = [list(range(first, len(seconds), 2)) for first in (0, 1)]
+    with ThreadPoolExecutor(2) as pool:
+        killed = sum(pool.map(kill_and_resume, studies))
+    assert killed >= len(seconds) - 2  # the last may come too late
 
 
 def check_whole(results: Path, expected: dict[str, bytes]) -> dict[str, dict]:
