@@ -12,8 +12,13 @@ from optical_palpation.present import read_result
 from optical_palpation.study import read_study, run_study
 from optical_palpation.study.script import reproducing_lines
 from optical_palpation.thickness import read_thickness_map, thickness_map, write_thickness_map
-from study_case import LOADED, SPACING, STUDY, UNLOADED, X, Y, make_study, make_volumes
+from study_case import LOADED, SPACING, UNLOADED, X, Y, make_volumes
+from study_case import STUDY as WITH_ESTIMATES
+from study_case import make_study as write_study
 
+# The errors that are estimated take longer than the stress; the first test has them, the others are
+# of what else a study does.
+STUDY = WITH_ESTIMATES + "\n[errors]\nestimates = false\n"
 LIT = np.ones(LOADED.shape, bool)  # far from the shadow
 LIT[16:, :24] = False
 READING = ["--axes", "yzx", "--spacing", *map(str, SPACING), "--scale", "linear"]
@@ -22,6 +27,10 @@ FILES = {
     *("boundaries-loaded.png", "thickness.nc", "algebraic.nc", "stress.nc", "stress.png"),
     *("layer.vts", "profiles.csv", "report.html", "provenance.json"),
 }
+
+
+def make_study(folder, text=STUDY):
+    return write_study(folder, text)
 
 
 @pytest.fixture(scope="module")
@@ -262,15 +271,14 @@ def test_maps_and_numbers_in_place_of_volumes(here, run):
     np.save("pressed.npy", LOADED)
     inputs = '[unloaded]\nthickness = 0.42\n[loaded]\nmap = "pressed.npy"\n'
     inputs += "pixel_spacing = [0.03, 0.03]\n"
-    make_study(here, inputs + STUDY[STUDY.index("[material]") :])
+    make_study(here, inputs + STUDY[STUDY.index("[material]") :] + "[outputs]\nwrite = []\n")
     status, out, _ = run("run", "study.toml")
     assert status == 0
-    warnings = [line for line in out.splitlines() if line.startswith("WARNING")]
-    assert all("sides of the layer" in line for line in warnings)  # those of a small layer matter
+    assert "WARNING" not in out
     command = ["stress", "pressed.npy", "--pixel-spacing", "0.03", "0.03", "--c10", "2.23"]
     command += ["--c01", "0.703", "--initial-thickness", "0.42", "--window-friction", "0.15"]
     command += ["--sample-friction", "0.05", "--element-size", "0.2", "0.2", "0.1"]
-    assert run(*command, "--threads", "1", "--output", "by-hand.nc")[0] == 0
+    assert run(*command, "--threads", "1", "--no-estimates", "--output", "by-hand.nc")[0] == 0
     by_hand, by_study = (
         read_result(path).maps for path in ("by-hand.nc", "study-results/stress.nc")
     )
@@ -352,7 +360,7 @@ def test_a_record_cannot_make_it_remove_files_elsewhere(done, run):
     assert (done.parent / "study.toml").exists()
 
 
-def test_thickness_of_a_volume_and_the_stress_of_it(here, run):
+def test_thickness_of_a_volume_and_the_stress_of_it(here, finished, run):
     """The first half by hand gives what the study gives."""
     for side in ("unloaded", "loaded"):
         command = [
@@ -385,8 +393,7 @@ def test_thickness_of_a_volume_and_the_stress_of_it(here, run):
     )
     assert status == 0
     assert f"interpolated pixels: {100 * missing.mean():.2g} %" in out
-    assert run("run", "study.toml", "--quiet")[0] == 0
-    by_study = read_result("study-results/algebraic.nc").maps
+    by_study = read_result(finished / "study-results/algebraic.nc").maps
     by_hand = read_result("stress.nc").maps
     for name in ("axial_stress", "filled"):
         np.testing.assert_array_equal(by_hand[name], by_study[name])

@@ -21,6 +21,8 @@ thickness = 0.42
 [loaded]
 map = "pressed.npy"
 pixel_spacing = [0.03, 0.03]
+[errors]
+estimates = false
 [outputs]
 write = ["profiles"]
 """
