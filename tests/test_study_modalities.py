@@ -19,8 +19,8 @@ from study_case import STUDY, make_study
 INSTRUMENTS = {
     # pixels of 0.2 mm in all directions on 40 mm: a gel pad of 14 mm under a linear array
     "ultrasound": (0.2, (40.0, 24.0), 0.2, 14.0),
-    # pixels of 0.5 um on 0.2 mm: a film of 40 um on cells
-    "confocal": (0.0005, (0.2, 0.08), 0.0005, 0.04),
+    # pixels of 0.5 um on 0.14 mm: a film of 40 um on cells
+    "confocal": (0.0005, (0.14, 0.07), 0.0005, 0.04),
 }
 
 
@@ -54,6 +54,7 @@ def test_only_the_configuration_differs(instrument, tmp_path):
     text = re.sub(
         r"spacing = .*", f"spacing = {{ z = {depth_pixel}, y = {pixel}, x = {pixel} }}", text
     )
+    text += "[errors]\nestimates = false\n[outputs]\nwrite = []\n"
     study = read_study(make_study(tmp_path, text))
     results = run_study(study).folder
 
@@ -71,6 +72,7 @@ def test_only_the_configuration_differs(instrument, tmp_path):
         sample_friction=0.05,
         element_size=size,
         threads=1,
+        mesh_check=False,
         edge_check=False,
         input_errors=None,
     ).maps
