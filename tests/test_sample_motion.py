@@ -106,7 +106,7 @@ def bump(n: int = 13) -> xr.DataArray:
 
 SETTINGS = {
     **{"window_friction": 0.2, "sample_friction": 0.2, "element_size": 0.25, "threads": 1},
-    **{"edge_check": False, "input_errors": None},
+    **{"mesh_check": False, "edge_check": False, "input_errors": None},
 }
 
 
@@ -378,6 +378,7 @@ def test_command_takes_a_strain_or_a_file(tmp_path, monkeypatch, run):
     uniform_motion(loaded, 0.2).to_netcdf("motion.nc", engine="h5netcdf")
     arguments = "map.npy --field-of-view 1.5 1.5 --initial-thickness 0.5 --c10 2.23 --c01 0.703"
     arguments += " --window-friction 0.2 --sample-friction 0.2 --element-size 0.25 --threads 1"
+    arguments += " --no-estimates"
     forces = []
     for motion in ([], ["--sample-motion", "0.2"], ["--sample-motion", "motion.nc"]):
         status, _, err = run("stress", *arguments.split(), *motion, "--output", "o.nc")
@@ -422,6 +423,8 @@ sample = 0.2
 [grid]
 element_size = 0.25
 threads = 1
+[errors]
+estimates = false
 [outputs]
 write = []
 [sample]

@@ -144,7 +144,7 @@ def test_volumes_against_an_unloaded_one_that_is_found_once(tmp_path):
     watch.arrived()
     done = watch.solve(all_arrived(watch)[0])
     assert done.status == "done", done.message
-    changes = {"loaded.volume": "loaded.npy", "outputs.write": []}
+    changes = {"loaded.volume": "loaded.npy", "outputs.write": [], "errors.estimates": False}
     by_run = run_study(read_study(tmp_path / "study.toml", changes))
     expected = xr.load_dataset(by_run.folder / "stress.nc", engine="h5netcdf")
     found = xr.load_dataset(tmp_path / "out" / "scan.npy.stress.nc", engine="h5netcdf")
