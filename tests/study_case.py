@@ -38,6 +38,9 @@ element_size = [0.2, 0.2, 0.1]
 threads = 1
 """
 
+#: Errors that are estimated take longer than the stress; for what is not about them.
+NO_ESTIMATES = "\n[errors]\nestimates = false\n"
+
 
 def map_study(loaded: str, rest: str = "") -> str:
     """Text of a study of a map on a layer of 0.5 mm, on coarse elements."""

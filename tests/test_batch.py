@@ -26,7 +26,7 @@ from optical_palpation.errors import ConvergenceError, InputError, OpticalPalpat
 from optical_palpation.friction import calibration_curves
 from optical_palpation.present import read_result
 from optical_palpation.study import read_study, run_study
-from study_case import map_study
+from study_case import NO_ESTIMATES, map_study
 
 STUDY = map_study('map = "0.npz"', "[outputs]\nwrite = []")
 REGIONS = "name,x_mm,y_mm\nbump,0.5,0.5\nbump,1,0.5\nbump,1,1\nbump,0.5,1\n"
@@ -292,8 +292,8 @@ def test_real_scheduler_lost_workers_and_a_damaged_scan(tmp_path, reference):
         processes = [stack.enter_context(worker(file)) for _ in range(2)]
 
         def kill_in_between(report):
-            # in the middle of computations, each of the two; a new one comes in its place
-            if len(killed) < 2 and report.running and report.done >= len(killed):
+            # in the middle of computations, three times; a new one comes in its place
+            if len(killed) < 3 and report.running and report.done >= len(killed):
                 process = processes.pop(0)
                 process.send_signal(signal.SIGKILL)
                 process.wait()
@@ -301,7 +301,7 @@ def test_real_scheduler_lost_workers_and_a_damaged_scan(tmp_path, reference):
                 processes.append(stack.enter_context(worker(file)))
 
         result = run_batch(batch, scheduler=str(file), progress=kill_in_between)
-        assert len(killed) == 2
+        assert len(killed) == 3
         again = run_batch(batch, scheduler=str(file))
 
     assert [outcome.name for outcome in result.failed] == ["sdamaged"]
@@ -345,7 +345,7 @@ def command(*arguments):
 @pytest.mark.slow
 def test_all_that_takes_a_scheduler_gives_what_one_process_gives(tmp_path):
     make_scans(tmp_path, 1)
-    (tmp_path / "study.toml").write_text(STUDY + "\n[errors]\nestimates = false\n")
+    (tmp_path / "study.toml").write_text(STUDY + NO_ESTIMATES)
     study = op.Study.read(tmp_path / "study.toml")
     values = {"friction.window": [0.1, 0.2], "material.c10": (2.0, 2.23)}
     slab = {

@@ -270,7 +270,7 @@ def solve(size):
 sizes = [0.5, 0.4] * 2
 """
 THREADS = """
-alone = [solve(0.5), solve(0.4)] * 2
+alone = [solve(size) for size in sizes[:2]] * 2
 found = [None] * len(sizes)
 def work(n):
     found[n] = solve(sizes[n])

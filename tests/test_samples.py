@@ -16,6 +16,7 @@ from optical_palpation.present import read_result
 from optical_palpation.study import read_study
 from optical_palpation.thickness import find_layer
 from optical_palpation.volume import open_volume
+from study_case import NO_ESTIMATES
 
 MAPS = xr.Dataset(
     {
@@ -130,7 +131,7 @@ def test_command_makes_a_sample_whose_stress_is_found(here, run, name, tolerance
     assert status == 0
     command = out[out.index("run made") :].split()
     text = (here / "made/study.toml").read_text()
-    quick = "threads = 1\n[errors]\nestimates = false\n[outputs]\nwrite = []"
+    quick = f"threads = 1\n{NO_ESTIMATES}\n[outputs]\nwrite = []"
     study = tomllib.loads(text)
     (here / "made/study.toml").write_text(text.replace("[outputs]", quick))
     assert study["grid"]["element_size"] == 0.125

@@ -12,13 +12,12 @@ from optical_palpation.present import read_result
 from optical_palpation.study import read_study, run_study
 from optical_palpation.study.script import reproducing_lines
 from optical_palpation.thickness import read_thickness_map, thickness_map, write_thickness_map
-from study_case import LOADED, SPACING, UNLOADED, X, Y, make_volumes
+from study_case import LOADED, NO_ESTIMATES, SPACING, UNLOADED, X, Y, make_volumes
 from study_case import STUDY as WITH_ESTIMATES
 from study_case import make_study as write_study
 
-# The errors that are estimated take longer than the stress; the first test has them, the others are
-# of what else a study does.
-STUDY = WITH_ESTIMATES + "\n[errors]\nestimates = false\n"
+# The first test has the estimated errors, the others are of what else a study does.
+STUDY = WITH_ESTIMATES + NO_ESTIMATES
 LIT = np.ones(LOADED.shape, bool)  # far from the shadow
 LIT[16:, :24] = False
 READING = ["--axes", "yzx", "--spacing", *map(str, SPACING), "--scale", "linear"]

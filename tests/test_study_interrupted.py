@@ -16,7 +16,7 @@ import pytest
 
 from optical_palpation.cli import main
 from optical_palpation.study.record import RECORD
-from study_case import STUDY, make_study, make_volumes
+from study_case import NO_ESTIMATES, STUDY, make_study, make_volumes
 
 # A process that has imported all it needs and is copied for every run: the kills are to strike
 # while the study runs, and not while Python starts.
@@ -66,8 +66,8 @@ def undisturbed(tmp_path_factory):
     """A folder with a finished study, run twice so that all is compiled."""
     folder = tmp_path_factory.mktemp("undisturbed")
     make_volumes(folder)
-    rest = '[errors]\nestimates = false\n[outputs]\nwrite = ["vtk", "profiles", "report"]\n'
-    make_study(folder, STUDY + rest)
+    outputs = '[outputs]\nwrite = ["vtk", "profiles", "report"]\n'
+    make_study(folder, STUDY + NO_ESTIMATES + outputs)
     for _ in range(2):
         shutil.rmtree(folder / "study-results", ignore_errors=True)
         assert finish(start(folder)) == 0

@@ -13,7 +13,7 @@ from optical_palpation.palpation import computational_stress
 from optical_palpation.present import read_result
 from optical_palpation.study import read_study, run_study
 from optical_palpation.thickness import thickness_map
-from study_case import STUDY, make_study
+from study_case import NO_ESTIMATES, STUDY, make_study
 
 # name: lateral pixel and field along x, y, axial pixel and layer thickness, mm
 INSTRUMENTS = {
@@ -54,7 +54,7 @@ def test_only_the_configuration_differs(instrument, tmp_path):
     text = re.sub(
         r"spacing = .*", f"spacing = {{ z = {depth_pixel}, y = {pixel}, x = {pixel} }}", text
     )
-    text += "[errors]\nestimates = false\n[outputs]\nwrite = []\n"
+    text += NO_ESTIMATES + "[outputs]\nwrite = []\n"
     study = read_study(make_study(tmp_path, text))
     results = run_study(study).folder
 

@@ -236,10 +236,11 @@ class ScanPlot extends Plot {
     for (const side of ["window", "sample"]) {
       const seen = [];
       const unseen = [];
+      const madeUp = lines[`${side}_filled`];
+      const filled = (k) => madeUp[start + clamp(k, 0, n - 1)];
       for (let i = 0; i < n; i++) {
         const depth = lines[side][start + i];
         const point = [this.toX(x[0] + i * x[1]), this.toY(depth)];
-        const filled = (k) => lines[`${side}_filled`][start + clamp(k, 0, n - 1)];
         seen.push(filled(i) ? [NaN, NaN] : point);
         // One pixel more on either side, so that no gap is left between the two.
         unseen.push(filled(i - 1) || filled(i) || filled(i + 1) ? point : [NaN, NaN]);
