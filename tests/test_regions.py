@@ -17,6 +17,7 @@ from optical_palpation.analysis import (
     line_profile,
     read_regions,
     region_statistics,
+    write_regions,
 )
 from optical_palpation.errors import InputError
 from optical_palpation.present.comparison import comparison_in_words
@@ -254,6 +255,27 @@ def test_a_table_of_outlines(tmp_path):
     assert float(region_statistics(maps, [region])["area"][0]) == pytest.approx(1.0, rel=0.03)
 
 
+def test_masks_holes_and_names_come_back_from_a_table(tmp_path):
+    maps = maps_of(lambda x, y: -x)
+    ring = np.zeros((Y.size, X.size), bool)
+    ring[2:9, 3:12] = True
+    ring[4:7, 5:8] = False  # a hole
+    ring[10:12, 1:3] = True  # and a second part
+    whole = Region.rectangle("a", 2, 3, 0, 1), Region.rectangle("a", 3, 4, 0, 1)
+    written = [Region.of_mask("ring", maps["axial_stress"].copy(data=ring)), *whole]
+    write_regions(written, tmp_path / "r.csv")
+    found = read_regions(tmp_path / "r.csv", maps)
+    assert [region.name for region in found] == ["ring", "a 1", "a 2"]
+    assert len(found[0].outlines) == 3
+    for one, other in zip(found, written, strict=True):
+        here, there = (it.weights(maps["axial_stress"]).values for it in (one, other))
+        np.testing.assert_allclose(here, there, atol=1e-12)
+    thin = Region("thin", mask=maps["axial_stress"].copy(data=0.2 * ring))
+    with pytest.raises(InputError, match="'thin': its mask holds no whole pixel"):
+        write_regions([thin], tmp_path / "none.csv")
+    assert not (tmp_path / "none.csv").exists()
+
+
 CORNERS = ((2, 0), (3, 0), (3, 1), (2, 1))
 
 
@@ -278,6 +300,7 @@ def outline(row, header="name,x_mm,y_mm"):
         (outline("a,{x},{y},{y}", "name,x_mm,y_mm,x_mm"), "2 columns are called 'x_mm'"),
         (outline("a;{x},5;{y},5", "name;x_mm;y_mm"), "write decimal points"),
         (outline("a,{x} mm,{y}"), "'2 mm', not a number"),
+        (outline("a,one,{x},{y}", "name,outline,x_mm,y_mm"), "'one', not a number"),
         (outline("a,{x},{y}", "name,x_um,y_um"), "needs the columns name, x_mm, y_mm"),
     ],
 )

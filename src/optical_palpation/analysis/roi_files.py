@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.analysis.maps import check_map, pixel_size
 from optical_palpation.analysis.regions import Region
+from optical_palpation.analysis.tracing import traced
 from optical_palpation.arguments import explained, file_path
 from optical_palpation.errors import InputError
 from optical_palpation.files import replacing
@@ -47,7 +48,8 @@ def read_regions(path: str | os.PathLike[str], like: xr.DataArray | xr.Dataset) 
           as :func:`~optical_palpation.present.write_tiff` writes it.
         - ``.csv`` of a napari shapes layer (``index, shape-type, vertex-index, axis-0, axis-1``),
           drawn over an image of these pixels.
-        - ``.csv`` with the columns ``name``, ``x_mm`` and ``y_mm``: the vertices of outlines.
+        - ``.csv`` with the columns ``name``, ``x_mm`` and ``y_mm``: the vertices of outlines. A
+          region of several, or with holes, numbers them in a column ``outline``.
         - ``.tif``, ``.png`` or ``.npy``: a mask or labels with the pixels of `like`, first row
           lowest y; every whole number above 0 is a region.
     like
@@ -162,10 +164,16 @@ def _table(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
         line = table.rows[names.index("")].number
         raise InputError(f"{path}, line {line}: has no name; every vertex names its outline")
     vertices = np.column_stack([table.numbers("x_mm"), table.numbers("y_mm")])
-    return [
-        Region.polygon(name, vertices[[other == name for other in names]])
-        for name in dict.fromkeys(names)
-    ]
+    outlines = table.numbers("outline") if "outline" in table.names else np.zeros(len(names))
+    regions = []
+    for name in dict.fromkeys(names):
+        own = np.array([other == name for other in names])
+        parts = [
+            Region.polygon(name, vertices[own & (outlines == number)]).outlines[0]
+            for number in dict.fromkeys(outlines[own])
+        ]
+        regions.append(Region(name, tuple(parts)))
+    return regions
 
 
 def _shapes(path: Path, table: Columns, field: xr.DataArray) -> list[Region]:
@@ -251,7 +259,7 @@ def _picture(path: Path, content: bytes) -> NDArray[Any]:
         return np.asarray(image)
 
 
-def _numbered(regions: list[Region]) -> list[Region]:
+def _numbered(regions: Sequence[Region]) -> list[Region]:
     """Give regions of the same name a number."""
     names = [region.name for region in regions]
     counts: dict[str, int] = {}
@@ -268,20 +276,26 @@ def _numbered(regions: list[Region]) -> list[Region]:
 def write_regions(regions: Sequence[Region], path: str | os.PathLike[str]) -> None:
     """Write outlines as a table of ``name``, ``x_mm`` and ``y_mm``, as :func:`read_regions` reads.
 
+    Regions of the same name get a number, and masks become the outlines of their pixels. Where a
+    region has several outlines, a column ``outline`` numbers those of each region.
+
     Raises
     ------
     InputError
-        If a region is a mask or has several outlines, which such a table cannot hold.
+        If the mask of a region holds less than half of every pixel.
     OutputError
         If the file cannot be written.
     """
-    for region in regions:
-        if len(region.outlines) != 1:
-            raise InputError(f"region {region.name!r}: has no single outline that could be written")
-    rows = [
-        pd.DataFrame({"name": region.name, "x_mm": outline[:, 0], "y_mm": outline[:, 1]})
-        for region in regions
-        for outline in region.outlines
-    ]
+    rows = []
+    for region in map(traced, _numbered(regions)):
+        if not region.outlines:
+            raise InputError(f"region {region.name!r}: its mask holds no whole pixel")
+        for number, outline in enumerate(region.outlines, 1):
+            x, y = outline.T
+            about = {"name": region.name, "outline": number}
+            rows.append(pd.DataFrame({**about, "x_mm": x, "y_mm": y}))
+    table = pd.concat(rows)
+    if (table["outline"] == 1).all():
+        del table["outline"]
     with replacing(path) as temporary:
-        pd.concat(rows).to_csv(temporary, index=False)
+        table.to_csv(temporary, index=False)
