@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -518,6 +519,7 @@ def test_a_result_is_compared_with_another(panel, study, tmp_path, monkeypatch):
     button.click()
     assert "solve first" in panel.message.text()
     panel.open_study(str(study))
+    panel.solving.numbers["grid.element_size"].set(0.17)  # a relief of enough points to align
     panel.solving.solve()
     wait_idle(panel)
     button.click()
@@ -547,6 +549,17 @@ def test_a_result_is_compared_with_another(panel, study, tmp_path, monkeypatch):
     within = 100 * np.mean(np.abs(difference[known]) <= error[known])
     share = re.search(r"([\d.]+) % of the map within the error", said)
     assert float(share[1]) == pytest.approx(within, rel=0.01)
+    # the same sample, scanned from elsewhere
+    step = float(np.diff(now.maps["x"]).mean())
+    moved = now.maps.assign_coords(x=now.maps["x"] + 3 * step)
+    replace(now, maps=moved).save(file)
+    button.click()
+    assert "shifted" not in panel.message.text()
+    panel.solving.align.setChecked(True)
+    button.click()
+    assert f"shifted by x {-3 * step:+.3g} and y" in panel.message.text()
+    (shown,) = (it for it in panel.bench.layers("map") if it.name == "Difference (kPa)")
+    assert np.nanmax(np.abs(shown.data)) < 1e-6
     # it is one with a stress that is shown
     panel.solving.solve(estimates=False)
     wait_idle(panel)

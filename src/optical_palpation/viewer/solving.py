@@ -97,6 +97,11 @@ class Solving(QGroupBox):
         row = button_row(
             ("Compare with…", "the stress of another result, stress.nc", self._ask_to_compare)
         )
+        self.align = QCheckBox("aligned by the relief")
+        self.align.setToolTip(
+            "take back a lateral shift of the other result, found from the loaded thickness"
+        )
+        row.addWidget(self.align)
         form.addRow(row)
         self._form = form
         self._shown: list[Any] = []
@@ -150,16 +155,20 @@ class Solving(QGroupBox):
     def compare(self, path: str) -> None:
         """Show how the stress of another result differs from this one, on the points of this.
 
+        If so chosen, the other one is first aligned by the relief that its loaded thickness shows.
+
         Raises
         ------
         InputError
-            If there is no stress yet, the file holds none, or the two cannot be compared.
+            If there is no stress yet, the file holds none, or the two cannot be compared or
+            aligned.
         """
         bench = self._bench
         if bench.result is None:
             raise InputError("solve first: there is no stress yet to compare with another")
         other = read_result(path)
-        found = compare_results({"this": bench.result.maps, Path(path).name: other.maps})
+        both = {"this": bench.result.maps, Path(path).name: other.maps}
+        found = compare_results(both, register=self.align.isChecked())
         bench.show_difference(found)
         bench.said.emit(comparison_in_words(found))
 
