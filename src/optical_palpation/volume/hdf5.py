@@ -23,13 +23,12 @@ from ..errors import InputError
 from .arrays import MAX_BSCAN_BYTES, Key, LazyArray, View, nbytes, reversed_axes
 from .cf import Decoded
 from .contents import Contents, Variable, unit_texts, unit_texts_above
-from .hdf5_heaps import check_heaps
+from .hdf5_checks import MAGIC, STARTS, check_heaps, check_superblock
 from .metadata import DESCRIPTIONS, described
 from .units import is_unit_key
 
 FORMAT = "HDF5"
 
-MAGIC = b"\x89HDF\r\n\x1a\n"
 _MAX_OBJECTS = 10_000
 _TRIAL_SECONDS = 3.0
 _MAX_RATIO = 10_000
@@ -40,7 +39,7 @@ _OWN_ATTRS |= {"_Netcdf4Dimid", "_Netcdf4Coordinates"}
 
 def recognises(path: Path, head: bytes) -> bool:
     """Tell by the HDF5 signature at byte 0, 512, 1024 or 2048."""
-    return any(head[at : at + 8] == MAGIC for at in (0, 512, 1024, 2048))
+    return any(head[at : at + 8] == MAGIC for at in STARTS)
 
 
 def contents(path: Path, wanted: str | None) -> Contents:
@@ -75,10 +74,11 @@ def open_file(path: Path) -> Any:
     Raises
     ------
     InputError
-        If its heaps would keep the HDF5 library busy for ever.
+        If its first block is damaged, or its heaps would keep the HDF5 library busy for ever.
     """
     import h5py
 
+    check_superblock(path)
     check_heaps(path)
     return h5py.File(path, "r")
 

@@ -1,4 +1,4 @@
-"""HDF5 files with heaps that the HDF5 library would not get through are refused."""
+"""HDF5 files that the HDF5 library would not get through are refused before it tries."""
 
 from contextlib import suppress
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from optical_palpation.errors import InputError
 from optical_palpation.thickness import read_thickness_map
-from optical_palpation.volume.hdf5_heaps import check_heaps
+from optical_palpation.volume.hdf5_checks import check_heaps, check_superblock
 
 HEAD = 16  # of a heap, and of each of its objects
 
@@ -51,6 +51,34 @@ def test_a_sound_file_is_read(sound):
 def test_a_size_that_cannot_be_is_refused(sound, tmp_path, index, size):
     with pytest.raises(InputError, match=rf"map\.h5: damaged .* states a size of {size} bytes"):
         read(damaged(sound, tmp_path, index, size))
+
+
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+@pytest.mark.parametrize("before", [0, 512])
+def test_a_sound_first_block_passes(tmp_path, libver, before):
+    path = tmp_path / "map.h5"
+    with h5py.File(path, "w", libver=libver, userblock_size=before) as file:
+        file["L1"] = np.full((5, 6), 0.4)
+    check_superblock(path)
+    with path.open("ab") as more:  # as some programs leave it
+        more.write(bytes(100))
+    check_superblock(path)
+
+
+# of the block for a driver the library allocates up to 4 GB, if that is what it finds there
+@pytest.mark.parametrize(
+    ("at", "value", "message"), [(40, 10**6, "truncated .* says 1000000"), (48, 96, "a driver")]
+)
+@pytest.mark.parametrize("before", [0, 512])
+def test_a_damaged_first_block_is_refused(tmp_path, at, value, message, before):
+    path = tmp_path / "map.h5"
+    with h5py.File(path, "w", libver="earliest", userblock_size=before) as file:
+        file["L1"] = np.full((5, 6), 0.4)
+    data = bytearray(path.read_bytes())
+    data[before + at : before + at + 8] = value.to_bytes(8, "little")
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=rf"map\.h5: .*{message}"):
+        read(path)
 
 
 @given(st.lists(st.integers(0, 2**64 - 1) | st.integers(0, 64), max_size=20))

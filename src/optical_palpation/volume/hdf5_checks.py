@@ -1,0 +1,87 @@
+"""What the HDF5 library takes on trust from a file, looked at before it does.
+
+It goes from object to object of a heap by the sizes that they state. A size of zero keeps it at the
+same place for ever, and one beyond the heap leads it out of it. Of the block for its driver it
+allocates what the block states, up to 4 GB. Layout: "Level 0A, Superblock", "Level 0B, File Driver
+Info" and "Level 1E, Global Heap" of the HDF5 File Format Specification, version 3.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import InputError
+
+MAGIC = b"\x89HDF\r\n\x1a\n"
+#: Where a file may begin: what lies before is the user's.
+STARTS = 0, 512, 1024, 2048
+#: Larger files are not looked through: it would take as long as reading them.
+LARGEST = 64 * 2**20
+_SIGNATURE = b"GCOL"
+#: Bytes of the head of a heap, and of an object, in files whose lengths have eight bytes.
+_HEAD = 16
+
+
+def check_superblock(path: Path) -> None:
+    """Refuse a file whose first block, of the versions without a checksum, cannot be right.
+
+    Raises
+    ------
+    InputError
+        If it states an end beyond the file's, or a driver that is none of ours.
+    """
+    with path.open("rb") as file:
+        head = file.read(STARTS[-1] + 128)
+    start = next((at for at in STARTS if head[at : at + len(MAGIC)] == MAGIC), None)
+    if start is None or head[start + 8] > 1:
+        return
+    width = head[start + 13]
+    first = start + (24 if head[start + 8] == 0 else 28)
+    _, _, end, driver = (
+        int.from_bytes(head[at : at + width], "little")
+        for at in range(first, first + 4 * width, width)
+    )
+    size = path.stat().st_size
+    if end > size:
+        raise InputError(
+            f"{path}: truncated or damaged HDF5 file (it ends at byte {size} and says {end})"
+        )
+    if driver != (1 << 8 * width) - 1:
+        raise InputError(
+            f"{path}: damaged HDF5 file, or one of several that belong together (it names a driver)"
+        )
+
+
+def check_heaps(path: Path) -> None:
+    """Refuse a file with a heap that the HDF5 library would not get through.
+
+    Raises
+    ------
+    InputError
+        If an object of a heap states a size that cannot be.
+    """
+    if path.stat().st_size > LARGEST:
+        return
+    data = path.read_bytes()
+    at = data.find(_SIGNATURE)
+    while at >= 0:
+        size = int.from_bytes(data[at + 8 : at + _HEAD], "little")
+        # samples may hold these four bytes too: a heap has version 1 and three zeros, and fits
+        if data[at + 4 : at + 8] == b"\x01\0\0\0" and _HEAD <= size <= len(data) - at:
+            _check_objects(path, data[at : at + size], at)
+        at = data.find(_SIGNATURE, at + 1)
+
+
+def _check_objects(path: Path, heap: bytes, start: int) -> None:
+    at = _HEAD
+    while at + _HEAD <= len(heap):
+        index = int.from_bytes(heap[at : at + 2], "little")
+        size = int.from_bytes(heap[at + 8 : at + _HEAD], "little")
+        # that of the free space, object 0, counts its head
+        step = size if index == 0 else _HEAD + (size + 7) // 8 * 8
+        if not 0 < step <= len(heap) - at:
+            raise InputError(
+                f"{path}: damaged HDF5 file (object {index} of the heap at byte {start} states a "
+                f"size of {size} bytes)"
+            )
+        at += step
