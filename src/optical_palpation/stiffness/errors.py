@@ -234,14 +234,12 @@ def _of_mesh(
     """Effect of the error of the fine mesh, and squares of half-widths of the stress by it.
 
     The coarse mesh is further from the truth than the fine one: in stress, and in thickness, to
-    which the stiffness has answered.
+    which the stiffness has answered. Half of that is taken off; this goes by the whole.
     """
     estimate, rough = propagation.estimate, propagation.rough
     thickness, pressure = [], []
-    for pressed, own, misfit, m in zip(
-        estimate.pressed, rough, estimate.misfit, measured, strict=True
-    ):
-        thickness.append(misfit - carried(own.misfit(m), own.layer, pressed.layer))
+    for pressed, own, m in zip(estimate.pressed, rough, measured, strict=True):
+        thickness.append(pressed.misfit(m) - carried(own.misfit(m), own.layer, pressed.layer))
         pressure.append(pressed.pressure - carried(own.pressure, own.slaves, pressed.slaves))
     answer = -estimate.gain @ np.ravel(thickness) / estimate.refinement
     force = np.array([p.force for p in estimate.pressed]) - propagation.force

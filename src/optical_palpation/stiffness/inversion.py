@@ -7,9 +7,9 @@ loads, J its derivative and D the differences between neighbours, a step d minim
     |W (r + J d)|^2 + alpha |D ((m, h) + d)|^2,
 
 W the inverse of what r may be off by: the noise of the measured thickness and the error of the
-mesh. Alpha is the largest for which what is then left, if the model were linear, is as large as
-these (Morozov's discrepancy principle); of m and h it is in units of what J makes of them. J is
-that of a coarse mesh, r that of the finest.
+mesh. Of that error, as two meshes tell it, half is taken off r. Alpha is the largest for which what
+is then left, if the model were linear, is as large as W says (Morozov's discrepancy principle); of
+m and h it is in units of what J makes of them. J is that of a coarse mesh, r that of the finest.
 """
 
 from __future__ import annotations
@@ -63,6 +63,9 @@ _NEAR_LEAST = 1.1
 #: Share of what is left by which the derivative of the coarse mesh may be wrong on the fine one: a
 #: step that is to leave less follows what it does not know.
 _UNKNOWN = 0.5
+#: Share of the estimated error of the mesh that is taken off the misfit: the true one lies anywhere
+#: between none of the estimate and all of it.
+_TAKEN_OFF = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +134,8 @@ class Estimate:
     pressed
         Layer and sample of that kind on the finest mesh, at each load.
     misfit, tolerance
-        Computed less measured thickness at the layer's nodes at each load, and what it may be off
-        by, (loads, ny + 1, nx + 1), mm.
+        Computed less measured thickness at the layer's nodes at each load, half the estimated error
+        of the mesh taken off, and what it may be off by, (loads, ny + 1, nx + 1), mm.
     gain, gain_by_force
         How what is sought answers to the thickness, (sought, loads x nodes), and to the total
         forces, (sought, loads).
@@ -277,12 +280,13 @@ class _Search:
         self.solutions.append((rough[-1].stack.n_elements, np.nan))
         sensitivities = self._sensitivities(rough)
         jacobian = np.concatenate([self.carry @ s.thickness for s in sensitivities])
-        tolerance: Array | None = None
+        tolerance = of_mesh = np.zeros(0)
         for _ in range(_FINE_STEPS + 1):
             pressed, row = self._pressed(self.fine, before, step, row)
             misfit = self._misfit(pressed)
-            if tolerance is None:
-                tolerance = self._tolerance(misfit, self._misfit(rough))
+            if best is None:
+                of_mesh, tolerance = self._error_of_mesh(misfit, self._misfit(rough))
+            misfit += of_mesh
             weight = self._weight(pressed, tolerance)
             left = _rms(weight * misfit)
             self.solutions.append((pressed[-1].stack.n_elements, left))
@@ -301,7 +305,6 @@ class _Search:
                 break
             before, row = row, row + step
         assert best is not None
-        assert tolerance is not None
         _, row, pressed, misfit = best
         weight = self._weight(pressed, tolerance)
         system = self._system(jacobian, sensitivities, misfit, weight, pressed)
@@ -353,13 +356,13 @@ class _Search:
             for p, m, expand in zip(pressed, self.measured, self.expand, strict=True)
         ]
 
-    def _tolerance(self, misfit: Array, rough: Array) -> Array:
-        """What the misfit may be: noise, and the error of the mesh, from the coarse one's."""
+    def _error_of_mesh(self, misfit: Array, rough: Array) -> tuple[Array, Array]:
+        """Return what a finer mesh would add to the misfit, and what the misfit may be off by."""
         coarse = [carried(values, self.coarse.layer, self.fine.layer) for values in rough]
         error = (misfit - np.stack(coarse)) / self.refinement
         reach = 0.5 * self.thickness / self.fine.layer.spacing[2]
         near = gaussian_filter(error**2, reach, mode="nearest", axes=(1, 2))
-        return np.sqrt(self.noise**2 + near)
+        return _TAKEN_OFF * error, np.sqrt(self.noise**2 + near)
 
     def _weight(self, pressed: list[Pressed], tolerance: Array) -> Array:
         there = [

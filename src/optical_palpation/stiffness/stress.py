@@ -106,7 +106,8 @@ def sample_stress(
         Maps as of ``computational_stress``, and on ``(y, x)``: ``sample_shear_modulus`` and
         ``sample_youngs_modulus``, kPa, of the column of the sample that is there under load (NaN
         where nothing is known of it), ``sample_displacement_x`` and ``sample_displacement_y``, mm,
-        ``thickness_misfit``, computed less measured, mm, and half the width of 95 % bands:
+        ``thickness_misfit``, computed less measured, mm, half the estimated error of the mesh taken
+        off, and half the width of 95 % bands:
         ``axial_stress_error``, kPa, and ``sample_modulus_error``, as a share of the modulus. They
         are those of the last load; ``series`` has them for each ``load``. Where the relief was
         sought, ``sample_relief`` and ``sample_relief_error``, mm, on unloaded positions.
