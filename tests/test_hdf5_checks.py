@@ -67,7 +67,12 @@ def test_a_sound_first_block_passes(tmp_path, libver, before):
 
 # of the block for a driver the library allocates up to 4 GB, if that is what it finds there
 @pytest.mark.parametrize(
-    ("at", "value", "message"), [(40, 10**6, "truncated .* says 1000000"), (48, 96, "a driver")]
+    ("at", "value", "message"),
+    [
+        (13, 0, "addresses of 0 bytes"),
+        (40, 10**6, "truncated .* says 1000000"),
+        (48, 96, "a driver"),
+    ],
 )
 @pytest.mark.parametrize("before", [0, 512])
 def test_a_damaged_first_block_is_refused(tmp_path, at, value, message, before):
@@ -75,10 +80,19 @@ def test_a_damaged_first_block_is_refused(tmp_path, at, value, message, before):
     with h5py.File(path, "w", libver="earliest", userblock_size=before) as file:
         file["L1"] = np.full((5, 6), 0.4)
     data = bytearray(path.read_bytes())
-    data[before + at : before + at + 8] = value.to_bytes(8, "little")
+    width = 1 if at == 13 else 8
+    data[before + at : before + at + width] = value.to_bytes(width, "little")
     path.write_bytes(data)
     with pytest.raises(InputError, match=rf"map\.h5: .*{message}"):
         read(path)
+
+
+@given(st.sampled_from([0, 512, 2048]), st.binary(max_size=100))
+def test_any_first_block_passes_or_is_refused(tmp_path_factory, before, rest):
+    path = tmp_path_factory.getbasetemp() / "block"
+    path.write_bytes(bytes(before) + b"\x89HDF\r\n\x1a\n" + rest)
+    with suppress(InputError):
+        check_superblock(path)
 
 
 @given(st.lists(st.integers(0, 2**64 - 1) | st.integers(0, 64), max_size=20))

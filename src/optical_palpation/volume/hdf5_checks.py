@@ -15,6 +15,10 @@ from ..errors import InputError
 MAGIC = b"\x89HDF\r\n\x1a\n"
 #: Where a file may begin: what lies before is the user's.
 STARTS = 0, 512, 1024, 2048
+#: In which the first block ends, if it lies at the last of these.
+_HEAD_OF_FILE = STARTS[-1] + 256
+#: Of an address, bytes.
+_WIDTHS = 2, 4, 8, 16, 32
 #: Larger files are not looked through: it would take as long as reading them.
 LARGEST = 64 * 2**20
 _SIGNATURE = b"GCOL"
@@ -31,11 +35,12 @@ def check_superblock(path: Path) -> None:
         If it states an end beyond the file's, or a driver that is none of ours.
     """
     with path.open("rb") as file:
-        head = file.read(STARTS[-1] + 128)
+        head = file.read(_HEAD_OF_FILE).ljust(_HEAD_OF_FILE, b"\0")
     start = next((at for at in STARTS if head[at : at + len(MAGIC)] == MAGIC), None)
     if start is None or head[start + 8] > 1:
         return
-    width = head[start + 13]
+    if (width := head[start + 13]) not in _WIDTHS:
+        raise InputError(f"{path}: damaged HDF5 file (addresses of {width} bytes)")
     first = start + (24 if head[start + 8] == 0 else 28)
     _, _, end, driver = (
         int.from_bytes(head[at : at + width], "little")
