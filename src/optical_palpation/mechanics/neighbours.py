@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from .contact import remember_slip, slip_coordinate
+from .contact import remember_slip
 from .iteration import NotConverged, Tolerances
 from .newton import LinearSolver, equilibrate, equilibrate_by
 from .problem import LayerProblem, LayerState
@@ -32,7 +32,7 @@ class Neighbours:
     most
         Elements of the largest grid on which a whole load path is followed.
     problems, states
-        On the last grid that they were followed on; the problem itself comes first.
+        On the grid that they were followed on; the problem itself comes first.
     failure
         Why there are none; empty if there are.
     begun
@@ -72,41 +72,6 @@ class Neighbours:
             for problem, mine in zip(self.problems, self.states, strict=True):
                 remember_slip(problem, mine)
 
-    def carry(
-        self,
-        prolong: Callable[[LayerState, LayerProblem, LayerProblem], LayerState],
-        problem: LayerProblem,
-        solver: LinearSolver,
-        state: LayerState,
-    ) -> None:
-        """Go on to a finer grid, where the fully loaded problem is in a state.
-
-        What the neighbours remember differs from what that state does by as much as on the grid
-        before.
-        """
-        if self.failure:
-            return
-        finer = [vary(problem) for vary in self._vary]
-        each = zip(self.states, self.problems, finer, strict=True)
-        own, *others = (
-            _slip_laid(after, prolong(_slip_laid(before, mine), before, after))
-            for mine, before, after in each
-        )
-        base = _slip_laid(problem, state)
-        trials = [base]
-        for mine in others:
-            trial = _shifted(base, own, mine)
-            trial.slip, trial.anchor = (
-                here + there - before
-                for here, there, before in (
-                    (base.slip, mine.slip, own.slip),
-                    (base.anchor, mine.anchor, own.anchor),
-                )
-            )
-            trials.append(trial)
-        self.problems = finer
-        self._equilibrate(solver, trials)
-
     def _equilibrate(self, solver: LinearSolver, trials: Sequence[LayerState]) -> None:
         """Bring all into equilibrium, from where each is expected.
 
@@ -143,9 +108,3 @@ def _shifted(state: LayerState, before: LayerState, mine: LayerState) -> LayerSt
         anchor=mine.anchor.copy(),
         anchor_load=mine.anchor_load,
     )
-
-
-def _slip_laid(problem: LayerProblem, state: LayerState) -> LayerState:
-    """Return a state whose reference slip is that of the state itself."""
-    slip = slip_coordinate(problem, state)
-    return replace(state, slip=slip, anchor=state.lateral(), anchor_load=state.load)

@@ -19,8 +19,6 @@ from optical_palpation.mechanics.cascade import (
     LoadNotReached,
     Solution,
     coarsened,
-    make_solver,
-    prolong,
     solve,
 )
 from optical_palpation.mechanics.grid import LayerGrid
@@ -96,10 +94,9 @@ def sensitivities(
 ) -> xr.Dataset:
     """Differentiate the total force and the axial stress by the inputs.
 
-    The load path of the changed inputs is followed on a small grid, and what it leads to carried to
-    the coarser grid of the solution. Derivatives are those of that grid, in proportion to the
-    forces there and in the solution. With the modulus, all coefficients of the law growing by the
-    same factor, force and stress grow in proportion.
+    The load path of the changed inputs is followed on a small grid. Derivatives are those of that
+    grid, in proportion to the forces there and in the solution. With the modulus, all coefficients
+    of the law growing by the same factor, force and stress grow in proportion.
 
     Parameters
     ----------
@@ -175,21 +172,14 @@ def _rim_effect(solution: Solution, coarser: LayerProblem, effect: float) -> flo
 def _follow(
     solution: Solution, neighbours: Neighbours, bound_guess: Callable[[LayerProblem], Array]
 ) -> None:
-    """Follow the neighbours to the coarser grid of a solution, or to its own if it has no other.
-
-    Those that were followed on its own grid stay there.
-    """
-    if neighbours.problems and neighbours.problems[0].grid is solution.problem.grid:
+    """Follow the neighbours on a small grid, unless they were beside the solution on one."""
+    if neighbours.begun:
         return
-    problem, state = solution.coarser or (solution.problem, solution.state)
-    if not neighbours.begun:
-        small = problem
-        while small.grid.n_elements > neighbours.most and min(small.grid.shape[1:]) >= 12:
-            small = coarsened(small)
-        neighbours.most = small.grid.n_elements
-        try:
-            solve(small, bound_guess, cascade=False, neighbours=neighbours)
-        except LoadNotReached as failure:
-            neighbours.stop(f"on {small.grid.n_elements:,} elements the layer {failure}")
-    if not neighbours.failure and neighbours.problems[0].grid is not problem.grid:
-        neighbours.carry(prolong, problem, make_solver(problem, "multigrid"), state)
+    small = solution.problem
+    while small.grid.n_elements > neighbours.most and min(small.grid.shape[1:]) >= 12:
+        small = coarsened(small)
+    neighbours.most = small.grid.n_elements
+    try:
+        solve(small, bound_guess, cascade=False, neighbours=neighbours)
+    except LoadNotReached as failure:
+        neighbours.stop(f"on {small.grid.n_elements:,} elements the layer {failure}")
