@@ -61,6 +61,8 @@ def contents(path: Path, wanted: str | None) -> Contents:
     size = path.stat().st_size
     needed = nbytes((frames, rows, columns), stored)
     syntax = meta.get("TransferSyntaxUID")
+    if not (syntax is None or isinstance(syntax, pydicom.uid.UID)):
+        raise InputError(f"{path}: damaged DICOM header (several transfer syntaxes)")
     compressed = syntax is not None and syntax.is_compressed
     if needed > (size * _MAX_RATIO if compressed else size):
         raise InputError(

@@ -339,5 +339,6 @@ def _scale_dims(file: Any, item: Any) -> list[str]:
     names = []
     for references in item.attrs.get("DIMENSION_LIST", ()):
         scale = file[references[0]] if len(references) else None
-        names.append("" if scale is None else scale.name.rpartition("/")[2])
+        name = scale.name if scale else None  # None, too, of one that no name leads to any more
+        names.append((name or "").rpartition("/")[2])
     return names
