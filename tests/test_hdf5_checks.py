@@ -87,6 +87,22 @@ def test_a_damaged_first_block_is_refused(tmp_path, at, value, message, before):
         read(path)
 
 
+@pytest.mark.parametrize("before", [0, 512])
+def test_a_text_that_is_longer_than_the_file_is_refused(tmp_path, before):
+    path = tmp_path / "map.h5"
+    with h5py.File(path, "w", userblock_size=before) as file:
+        file["L1"] = np.full((5, 6), 0.4)
+        file["units"] = "mm"
+    assert read(path).shape == (5, 6)
+    with h5py.File(path) as file:
+        at = file["units"].id.get_offset()
+    data = bytearray(path.read_bytes())
+    data[at : at + 4] = (2 * 10**9).to_bytes(4, "little")  # which the library would allocate
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"map\.h5: .*text /units states a length of 2000000000"):
+        read(path)
+
+
 @given(st.sampled_from([0, 512, 2048]), st.binary(max_size=100))
 def test_any_first_block_passes_or_is_refused(tmp_path_factory, before, rest):
     path = tmp_path_factory.getbasetemp() / "block"

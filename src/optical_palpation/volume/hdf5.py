@@ -23,7 +23,7 @@ from ..errors import InputError
 from .arrays import MAX_BSCAN_BYTES, Key, LazyArray, View, nbytes, reversed_axes
 from .cf import Decoded
 from .contents import Contents, Variable, unit_texts, unit_texts_above
-from .hdf5_checks import MAGIC, STARTS, check_heaps, check_superblock
+from .hdf5_checks import MAGIC, STARTS, check_heaps, check_superblock, check_text
 from .metadata import DESCRIPTIONS, described
 from .units import is_unit_key
 
@@ -55,6 +55,7 @@ def contents(path: Path, wanted: str | None) -> Contents:
                 name = group
             is_text = item.dtype.kind in "SO" and item.size == 1
             if is_text and is_unit_key(name.rpartition("/")[2]):
+                check_text(path, item)
                 texts[name] = str(_plain(np.asarray(item[()]).ravel()[0]))
             elif item.dtype.kind not in "biufc" and not is_complex_pair(item.dtype):
                 unread.append(name)
@@ -336,9 +337,12 @@ def _netcdf_dims(item: Any) -> list[str]:
 
 
 def _scale_dims(file: Any, item: Any) -> list[str]:
+    import h5py
+
     names = []
     for references in item.attrs.get("DIMENSION_LIST", ()):
-        scale = file[references[0]] if len(references) else None
+        first = next(iter(np.ravel(references)), None)
+        scale = file[first] if isinstance(first, h5py.Reference) else None
         name = scale.name if scale else None  # None, too, of one that no name leads to any more
         names.append((name or "").rpartition("/")[2])
     return names

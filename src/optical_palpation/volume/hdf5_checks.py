@@ -1,14 +1,16 @@
 """What the HDF5 library takes on trust from a file, looked at before it does.
 
 It goes from object to object of a heap by the sizes that they state. A size of zero keeps it at the
-same place for ever, and one beyond the heap leads it out of it. Of the block for its driver it
-allocates what the block states, up to 4 GB. Layout: "Level 0A, Superblock", "Level 0B, File Driver
-Info" and "Level 1E, Global Heap" of the HDF5 File Format Specification, version 3.
+same place for ever, and one beyond the heap leads it out of it. For a
+driver's block and for a text it allocates the size that is stated, up to 4 GB. Layout: "Level 0A,
+Superblock", "Level 0B, File Driver Info" and "Level 1E, Global Heap" of the HDF5 File Format
+Specification, version 3.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from ..errors import InputError
 
@@ -54,6 +56,26 @@ def check_superblock(path: Path) -> None:
     if driver != (1 << 8 * width) - 1:
         raise InputError(
             f"{path}: damaged HDF5 file, or one of several that belong together (it names a driver)"
+        )
+
+
+def check_text(path: Path, item: Any) -> None:
+    """Refuse a dataset of one text of variable length that would be longer than the file.
+
+    Raises
+    ------
+    InputError
+        If it states such a length.
+    """
+    at = item.id.get_offset()
+    if at is None or item.dtype.kind != "O":
+        return
+    with path.open("rb") as file:
+        file.seek(at)
+        length = int.from_bytes(file.read(4), "little")
+    if length > path.stat().st_size:
+        raise InputError(
+            f"{path}: damaged HDF5 file (the text {item.name} states a length of {length} bytes)"
         )
 
 
