@@ -83,6 +83,26 @@ def test_derivatives_of_a_coarse_grid_hold_on_the_finer_one():
     assert of_stress < 0.15
 
 
+def test_derivatives_of_a_fine_grid_are_those_of_a_coarse_one():
+    axis = np.linspace(0, 3, 151)
+    x, y = np.meshgrid(axis, axis)
+    wave = 0.41 + 0.05 * np.cos(0.8 * np.pi * x) * np.cos(0.8 * np.pi * y)
+    derivatives = [
+        computational_stress(
+            thickness_map(wave, x=axis, y=axis, where="wave"),
+            0.5,
+            MooneyRivlin(2.23, 0.703),
+            window_friction=0.3,
+            sample_friction=0.05,
+            element_size=size,
+            edge_check=False,
+            input_errors=InputErrors(),
+        ).sensitivities["force"]
+        for size in (0.125, 0.05)  # of the finer one, both grids have too many elements for paths
+    ]
+    np.testing.assert_allclose(derivatives[1], derivatives[0], rtol=0.1)
+
+
 def test_stress_is_in_proportion_to_the_modulus(result):
     mine = result.sensitivities.sel(input="modulus")
     stiff = press(None, modulus=1.1)

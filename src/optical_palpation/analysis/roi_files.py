@@ -292,8 +292,8 @@ def write_regions(regions: Sequence[Region], path: str | os.PathLike[str]) -> No
             raise InputError(f"region {region.name!r}: its mask holds no whole pixel")
         for number, outline in enumerate(region.outlines, 1):
             x, y = outline.T
-            about = {"name": region.name, "outline": number}
-            rows.append(pd.DataFrame({**about, "x_mm": x, "y_mm": y}))
+            columns = {"name": region.name, "outline": number, "x_mm": x, "y_mm": y}
+            rows.append(pd.DataFrame(columns))
     table = pd.concat(rows)
     if (table["outline"] == 1).all():
         del table["outline"]

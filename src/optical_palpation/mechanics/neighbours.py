@@ -67,16 +67,17 @@ class Neighbours:
             return
         trials = [_shifted(state, self._beside, mine) for mine in self.states]
         self._beside = state
-        self._equilibrate(self._solver, trials)
+        self._equilibrate(trials)
         if state.load < 1.0:
             for problem, mine in zip(self.problems, self.states, strict=True):
                 remember_slip(problem, mine)
 
-    def _equilibrate(self, solver: LinearSolver, trials: Sequence[LayerState]) -> None:
+    def _equilibrate(self, trials: Sequence[LayerState]) -> None:
         """Bring all into equilibrium, from where each is expected.
 
         The problem itself comes first; where that is off, so are the others.
         """
+        solver = self._solver
         first, *others = self.problems
         try:
             now, _ = equilibrate(first, trials[0], solver, _TOLERANCES, near=True)

@@ -15,12 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from optical_palpation.mechanics.cascade import (
-    LoadNotReached,
-    Solution,
-    coarsened,
-    solve,
-)
+from optical_palpation.mechanics.cascade import LoadNotReached, Solution, coarsened, solve
 from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.neighbours import Neighbours

@@ -23,7 +23,7 @@ from ..errors import InputError
 from .arrays import MAX_BSCAN_BYTES, Key, LazyArray, View, nbytes, reversed_axes
 from .cf import Decoded
 from .contents import Contents, Variable, unit_texts, unit_texts_above
-from .hdf5_checks import MAGIC, STARTS, check_heaps, check_superblock, check_text
+from .hdf5_checks import check_heaps, check_superblock, check_text, find_superblock
 from .metadata import DESCRIPTIONS, described
 from .units import is_unit_key
 
@@ -39,7 +39,7 @@ _OWN_ATTRS |= {"_Netcdf4Dimid", "_Netcdf4Coordinates"}
 
 def recognises(path: Path, head: bytes) -> bool:
     """Tell by the HDF5 signature at byte 0, 512, 1024 or 2048."""
-    return any(head[at : at + 8] == MAGIC for at in STARTS)
+    return find_superblock(head) is not None
 
 
 def contents(path: Path, wanted: str | None) -> Contents:

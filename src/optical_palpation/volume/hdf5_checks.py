@@ -1,10 +1,9 @@
 """What the HDF5 library takes on trust from a file, looked at before it does.
 
 It goes from object to object of a heap by the sizes that they state. A size of zero keeps it at the
-same place for ever, and one beyond the heap leads it out of it. For a
-driver's block and for a text it allocates the size that is stated, up to 4 GB. Layout: "Level 0A,
-Superblock", "Level 0B, File Driver Info" and "Level 1E, Global Heap" of the HDF5 File Format
-Specification, version 3.
+same place for ever, and one beyond the heap leads it out of it. For a driver's block and for a text
+it allocates the size that is stated, up to 4 GB. Layout: "Level 0A, Superblock", "Level 0B, File
+Driver Info" and "Level 1E, Global Heap" of the HDF5 File Format Specification, version 3.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ from typing import Any
 
 from ..errors import InputError
 
-MAGIC = b"\x89HDF\r\n\x1a\n"
+_MAGIC = b"\x89HDF\r\n\x1a\n"
 #: Where a file may begin: what lies before is the user's.
-STARTS = 0, 512, 1024, 2048
+_STARTS = 0, 512, 1024, 2048
 #: In which the first block ends, if it lies at the last of these.
-_HEAD_OF_FILE = STARTS[-1] + 256
+_HEAD_OF_FILE = _STARTS[-1] + 256
 #: Of an address, bytes.
 _WIDTHS = 2, 4, 8, 16, 32
 #: Larger files are not looked through: it would take as long as reading them.
@@ -26,6 +25,11 @@ LARGEST = 64 * 2**20
 _SIGNATURE = b"GCOL"
 #: Bytes of the head of a heap, and of an object, in files whose lengths have eight bytes.
 _HEAD = 16
+
+
+def find_superblock(head: bytes) -> int | None:
+    """Return the byte at which the first block begins; None where there is no HDF5 signature."""
+    return next((at for at in _STARTS if head[at : at + len(_MAGIC)] == _MAGIC), None)
 
 
 def check_superblock(path: Path) -> None:
@@ -38,7 +42,7 @@ def check_superblock(path: Path) -> None:
     """
     with path.open("rb") as file:
         head = file.read(_HEAD_OF_FILE).ljust(_HEAD_OF_FILE, b"\0")
-    start = next((at for at in STARTS if head[at : at + len(MAGIC)] == MAGIC), None)
+    start = find_superblock(head)
     if start is None or head[start + 8] > 1:
         return
     if (width := head[start + 13]) not in _WIDTHS:
