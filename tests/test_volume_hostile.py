@@ -652,6 +652,11 @@ CASES: dict[str, Case] = {
     "tiff: pages beyond the end": file_of(
         tiff(grey(8, 8), bytes(64), following=10**9), "beyond the end", samples.GIVEN
     ),
+    "tiff: one strip of four": file_of(
+        tiff(grey(8, 8, 8, 24) | {278: (1, 2)}, zlib.compress(bytes(range(16)))),
+        "1 of 4 strips",
+        samples.GIVEN,
+    ),
     "tiff: strip at a place that is no number": file_of(
         tiff(grey(8, 8, 8)).replace(struct.pack("<HH", 273, 4), struct.pack("<HH", 273, 2)),
         "",

@@ -157,7 +157,9 @@ def is_complex_pair(dtype: np.dtype[Any]) -> bool:
 def _variable(path: Path, file: Any, name: str, item: Any, columns_first: bool) -> Variable:
     where = f"{path}, variable {name}"
     attrs = {key: value for key, value in _attributes(item).items() if key not in _OWN_ATTRS}
-    facts = described({n: item.attrs[n] for n in DESCRIPTIONS if n in item.attrs}, where)
+    # a list of variable length is no description: it is refused as a text would be
+    stated = {n: _attribute(item, n, "a list") for n in DESCRIPTIONS if n in item.attrs}
+    facts = described(stated, where)
     access = "streamed" if item.chunks else "mapped"
     if item.dtype.kind not in "iuf" or columns_first:
         dtype = np.dtype(np.complex128) if item.dtype.names else item.dtype
@@ -252,7 +254,7 @@ def _written_chunks(path: Path, dataset: Any) -> NDArray[np.bool_] | None:
 
 def _is_bare(item: Any) -> bool:
     """Tell whether a dataset stands for a netCDF dimension without coordinates."""
-    name = item.attrs.get("NAME", b"") if item.ndim == 1 else b""
+    name = _attribute(item, "NAME", b"") if item.ndim == 1 else b""
     return "This is a netCDF dimension but not a netCDF variable" in str(_plain(name))
 
 
@@ -269,12 +271,23 @@ def _fill_value(item: Any, attrs: Mapping[str, object]) -> list[float]:
 
 def _attributes(item: Any) -> dict[str, object]:
     """Attributes with text for bytes, and a scalar for an array of one number."""
-    return {
-        key: _plain(item.attrs[key])
-        for key in item.attrs
-        # Lists of references: never needed here, and what damage makes the library loop on.
-        if key not in ("REFERENCE_LIST", "DIMENSION_LIST")
-    }
+    return {key: _plain(item.attrs[key]) for key in item.attrs if not _is_list(item, key)}
+
+
+def _attribute(item: Any, key: str, default: object) -> Any:
+    """One attribute as the library gives it."""
+    return item.attrs[key] if key in item.attrs and not _is_list(item, key) else default
+
+
+def _is_list(item: Any, key: str) -> bool:
+    """Whether an attribute holds lists of variable length, such as references to dimension scales.
+
+    But for those they are never needed, and on damaged ones the library loops or crashes.
+    """
+    import h5py
+
+    kind = item.attrs.get_id(key).get_type()
+    return kind.get_class() == h5py.h5t.VLEN or key == "REFERENCE_LIST"
 
 
 def _plain(value: object) -> object:
@@ -286,8 +299,8 @@ def _plain(value: object) -> object:
 def _dims(file: Any, item: Any) -> tuple[str, ...]:
     """Names of a dataset's axes, empty where an axis has none."""
     own = item.name.rpartition("/")[2]
-    labels = [str(_plain(label) or "") for label in item.attrs.get("DIMENSION_LABELS", ())]
-    if "DIMENSION_SCALE" in str(_plain(item.attrs.get("CLASS", ""))) and item.ndim == 1:
+    labels = [str(_plain(label) or "") for label in _attribute(item, "DIMENSION_LABELS", ())]
+    if "DIMENSION_SCALE" in str(_plain(_attribute(item, "CLASS", ""))) and item.ndim == 1:
         names = [own]
     else:
         names = _netcdf_dims(item) or _scale_dims(file, item)
@@ -306,7 +319,7 @@ def _dims(file: Any, item: Any) -> tuple[str, ...]:
 def _tagged_dims(item: Any) -> list[str]:
     """Names of axes by vigra's and ilastik's attribute."""
     try:
-        axes = json.loads(str(_plain(item.attrs.get("axistags", "{}"))))["axes"]
+        axes = json.loads(str(_plain(_attribute(item, "axistags", "{}"))))["axes"]
         return [str(axis["key"]) for axis in axes]
     except (ValueError, LookupError, TypeError, RecursionError):
         return []
@@ -320,7 +333,7 @@ def _netcdf_dims(item: Any) -> list[str]:
     """
     import h5py
 
-    numbers = np.ravel(item.attrs.get("_Netcdf4Coordinates", ()))
+    numbers = np.ravel(_attribute(item, "_Netcdf4Coordinates", ()))
     if len(numbers) != item.ndim:
         return []
     by_number = {}
@@ -328,7 +341,7 @@ def _netcdf_dims(item: Any) -> list[str]:
         if isinstance(item.parent.get(name, getlink=True), h5py.HardLink):
             scale = item.parent[name]
             if isinstance(scale, h5py.Dataset) and "_Netcdf4Dimid" in scale.attrs:
-                number = scale.attrs["_Netcdf4Dimid"]
+                number = _attribute(scale, "_Netcdf4Dimid", None)
                 if np.shape(number) == () and scale.ndim == 1:
                     by_number[int(number)] = (name, scale.size)
     found = [by_number.get(int(number)) for number in numbers]

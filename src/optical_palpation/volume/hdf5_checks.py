@@ -8,6 +8,7 @@ Driver Info" and "Level 1E, Global Heap" of the HDF5 File Format Specification, 
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,9 @@ LARGEST = 64 * 2**20
 _SIGNATURE = b"GCOL"
 #: Bytes of the head of a heap, and of an object, in files whose lengths have eight bytes.
 _HEAD = 16
+#: A type of variable length, whose values have 16 bytes, and how far behind it they are looked for.
+_VARIABLE_LENGTH = re.compile(rb"[\x19\x29\x39\x49]...\x10\0\0\0", re.DOTALL)
+_REACH = 1024
 
 
 def find_superblock(head: bytes) -> int | None:
@@ -89,7 +93,8 @@ def check_heaps(path: Path) -> None:
     Raises
     ------
     InputError
-        If an object of a heap states a size that cannot be.
+        If an object of a heap states a size that cannot be, or what refers to one states a length
+        beyond the file's.
     """
     if path.stat().st_size > LARGEST:
         return
@@ -100,6 +105,7 @@ def check_heaps(path: Path) -> None:
         # samples may hold these four bytes too: a heap has version 1 and three zeros, and fits
         if data[at + 4 : at + 8] == b"\x01\0\0\0" and _HEAD <= size <= len(data) - at:
             _check_objects(path, data[at : at + size], at)
+            _check_references(path, data, at - (find_superblock(data) or 0))
         at = data.find(_SIGNATURE, at + 1)
 
 
@@ -116,3 +122,18 @@ def _check_objects(path: Path, heap: bytes, start: int) -> None:
                 f"size of {size} bytes)"
             )
         at += step
+
+
+def _check_references(path: Path, data: bytes, heap: int) -> None:
+    """Refuse what states a length beyond the file's, followed by the address of this heap."""
+    address = heap.to_bytes(8, "little")
+    at = data.find(address, 4)
+    while at >= 0:
+        length = int.from_bytes(data[at - 4 : at], "little")
+        # samples may hold such bytes too, but not behind the name of such a type
+        if length > len(data) and _VARIABLE_LENGTH.search(data, max(at - _REACH, 0), at):
+            raise InputError(
+                f"{path}: damaged HDF5 file (a text or list at byte {at - 4} states a length of "
+                f"{length})"
+            )
+        at = data.find(address, at + 1)

@@ -9,6 +9,7 @@ more often hold a printer's 72 dpi.
 from __future__ import annotations
 
 import logging
+import math
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -161,13 +162,17 @@ def page_array(path: Path, file: Any) -> Any:
 
 
 def _check_segments(path: Path, number: int, single: Any, keyframe: Any) -> None:
-    """Refuse pages whose strips or tiles are missing: tifffile would fill them with zeros."""
+    """Refuse pages whose strips or tiles are missing: tifffile fills them with zeros."""
     offsets, counts = (
         (single.dataoffsets, single.databytecounts) if single is not None else ((), ())
     )
     whole = all(isinstance(n, int | np.integer) and n > 0 for n in (*counts, *offsets))
     if not counts or len(offsets) != len(counts) or not whole:
         raise InputError(f"{path}: page {number} has no samples: truncated or damaged")
+    if len(counts) != (needed := math.prod(keyframe.chunked)):
+        raise InputError(
+            f"{path}: page {number} has {len(counts)} of {needed} strips or tiles: damaged"
+        )
     end = max(o + n for o, n in zip(offsets, counts, strict=True))
     if end > path.stat().st_size:
         raise InputError(f"{path}: page {number} lies beyond the end of the file: truncated")
