@@ -53,26 +53,49 @@ def test_a_size_that_cannot_be_is_refused(sound, tmp_path, index, size):
         read(damaged(sound, tmp_path, index, size))
 
 
-@pytest.mark.parametrize(("count", "before"), [(1, 0), (3, 0), (1, 512)])
-def test_an_attribute_that_is_longer_than_the_file_is_refused(tmp_path, count, before):
+@pytest.mark.parametrize("count", [None, 1, 3])
+@pytest.mark.parametrize("before", [0, 512])
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+@pytest.mark.parametrize("name", ["comment", "comments", "a_longer_name"])
+def test_an_attribute_that_is_longer_than_the_file_is_refused(
+    tmp_path, count, before, libver, name
+):
     path = tmp_path / "map.h5"
-    with h5py.File(path, "w", userblock_size=before) as file:
-        stored = file.create_dataset("L1", data=np.full((5, 6), 0.4))
-        stored.attrs["comments"] = ["thin"] * count
+    texts = "thin" if count is None else ["thin"] * count
+    with h5py.File(path, "w", userblock_size=before, libver=libver) as file:
+        file.create_dataset("L1", data=np.full((5, 6), 0.4)).attrs[name] = texts
+    assert read(path).shape == (5, 6)
     data = bytearray(path.read_bytes())
-    heap = data.index(b"GCOL") - before
-    place = data.index(heap.to_bytes(8, "little"), data.index(b"comments"))
-    data[place - 1] = 0xFF
-    path.write_bytes(data)
-    with pytest.raises(InputError, match=rf"byte {place - 4} states a length of 42781"):
-        read(path)
+    last = data.rindex((data.index(b"GCOL") - before).to_bytes(8, "little"), 0, data.index(b"GCOL"))
+    data[last - 4 : last + 8] = bytes([1, 2, 3, 0xC0]) + bytes(8)  # its address is lost, too
+    with pytest.raises(InputError, match=rf"byte {last - 4} states a length of 3221422593"):
+        check_heaps(written(path, data))
 
 
-def test_samples_may_look_like_a_text_that_is_too_long(sound, tmp_path):
+def test_items_larger_than_the_file_are_refused(tmp_path):
     path = tmp_path / "map.h5"
-    path.write_bytes(sound[0].read_bytes())
-    with h5py.File(path, "a") as file:
-        file["mask"] = np.array([[9000, 9000, sound[1], 0, 0, 0, 1, 0]], np.uint16)
+    with h5py.File(path, "w") as file:
+        stored = file.create_dataset("L1", data=np.full((5, 6), 0.4))
+        add_list(stored, "history", np.arange(3, dtype=np.int32))
+    data = bytearray(path.read_bytes())
+    size = data.index(b"\x10\0\0\0", data.index(b"history")) + 8
+    assert data[size : size + 4] == b"\x04\0\0\0"
+    data[size + 3] = 0x40
+    with pytest.raises(InputError, match=f"byte {size} states a length of 1073741828"):
+        check_heaps(written(path, data))
+
+
+def written(path, data):
+    path.write_bytes(data)
+    return path
+
+
+def test_samples_may_look_like_a_list_that_is_too_long(tmp_path):
+    samples = bytes([0x19, 1, 0, 0, 16, 0, 0, 0]) + bytes([0xFF]) * 40
+    path = tmp_path / "map.h5"
+    with h5py.File(path, "w") as file:
+        file["L1"] = np.full((5, 6), 0.4)
+        file["mask"] = np.frombuffer(samples, np.uint8)[None]
     assert read_thickness_map(path, field_of_view=(2.0, 1.0), variable="L1").shape == (5, 6)
 
 

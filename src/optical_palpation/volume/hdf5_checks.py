@@ -1,9 +1,10 @@
 """What the HDF5 library takes on trust from a file, looked at before it does.
 
 It goes from object to object of a heap by the sizes that they state. A size of zero keeps it at the
-same place for ever, and one beyond the heap leads it out of it. For a driver's block and for a text
-it allocates the size that is stated, up to 4 GB. Layout: "Level 0A, Superblock", "Level 0B, File
-Driver Info" and "Level 1E, Global Heap" of the HDF5 File Format Specification, version 3.
+same place for ever, and one beyond the heap leads it out of it. For a driver's block and for texts
+and lists it allocates the size that is stated, up to 4 GB. Layout: levels 0A (superblock), 0B (file
+driver info), 1E (global heap) and 2A2 (dataspace, datatype and attribute messages) of the HDF5 File
+Format Specification, version 3.
 """
 
 from __future__ import annotations
@@ -26,9 +27,11 @@ LARGEST = 64 * 2**20
 _SIGNATURE = b"GCOL"
 #: Bytes of the head of a heap, and of an object, in files whose lengths have eight bytes.
 _HEAD = 16
-#: A type of variable length, whose values have 16 bytes, and how far behind it they are looked for.
-_VARIABLE_LENGTH = re.compile(rb"[\x19\x29\x39\x49]...\x10\0\0\0", re.DOTALL)
-_REACH = 1024
+#: First bytes of a type of variable length, in its versions, and what follows three bytes later.
+_VARIABLE_LENGTH = b"\x19\x29\x39\x49"
+_SIZE_OF_REFERENCE = re.compile(rb"\x10\0\0\0")
+#: Bytes of the name of an attribute, and values that are looked at.
+_LONGEST_NAME, _MOST_VALUES = 256, 256
 
 
 def find_superblock(head: bytes) -> int | None:
@@ -93,8 +96,8 @@ def check_heaps(path: Path) -> None:
     Raises
     ------
     InputError
-        If an object of a heap states a size that cannot be, or what refers to one states a length
-        beyond the file's.
+        If an object of a heap states a size that cannot be, or an attribute a length beyond the
+        file's.
     """
     if path.stat().st_size > LARGEST:
         return
@@ -105,8 +108,8 @@ def check_heaps(path: Path) -> None:
         # samples may hold these four bytes too: a heap has version 1 and three zeros, and fits
         if data[at + 4 : at + 8] == b"\x01\0\0\0" and _HEAD <= size <= len(data) - at:
             _check_objects(path, data[at : at + size], at)
-            _check_references(path, data, at - (find_superblock(data) or 0))
         at = data.find(_SIGNATURE, at + 1)
+    _check_lists(path, data)
 
 
 def _check_objects(path: Path, heap: bytes, start: int) -> None:
@@ -124,16 +127,49 @@ def _check_objects(path: Path, heap: bytes, start: int) -> None:
         at += step
 
 
-def _check_references(path: Path, data: bytes, heap: int) -> None:
-    """Refuse what states a length beyond the file's, followed by the address of this heap."""
-    address = heap.to_bytes(8, "little")
-    at = data.find(address, 4)
-    while at >= 0:
-        length = int.from_bytes(data[at - 4 : at], "little")
-        # samples may hold such bytes too, but not behind the name of such a type
-        if length > len(data) and _VARIABLE_LENGTH.search(data, max(at - _REACH, 0), at):
-            raise InputError(
-                f"{path}: damaged HDF5 file (a text or list at byte {at - 4} states a length of "
-                f"{length})"
+def _check_lists(path: Path, data: bytes) -> None:
+    """Refuse attributes with texts or lists of variable length that are longer than the file."""
+    for found in _SIZE_OF_REFERENCE.finditer(data, 4):
+        kind = found.start() - 4
+        if data[kind] not in _VARIABLE_LENGTH:
+            continue
+        values = _values(data, kind)
+        # each value begins with the number of items, and these have a size
+        for at in (found.end() + 4, *values) if values else ():
+            length = int.from_bytes(data[at : at + 4], "little")
+            if length > len(data):
+                raise InputError(
+                    f"{path}: damaged HDF5 file (a text or list at byte {at} states a length of "
+                    f"{length})"
+                )
+
+
+def _values(data: bytes, kind: int) -> range:
+    """Where the values of an attribute lie whose type is at a byte; none if it is no attribute's.
+
+    Samples may look like a type, but not behind what an attribute begins with.
+
+    An attribute is its version, the sizes of name, type and shape, and then these and the values.
+    In version 1 each is filled up to 8 bytes.
+    """
+    for version, head, unit in ((1, 8, 8), (2, 8, 1), (3, 9, 1)):
+        for room in range(unit, _LONGEST_NAME, unit):
+            start = kind - head - room
+            if start < 0:
+                break
+            name, of_kind, of_shape = (
+                int.from_bytes(data[start + n : start + n + 2], "little") for n in (2, 4, 6)
             )
-        at = data.find(address, at + 1)
+            if data[start] == version and room - unit < name <= room:
+                shape = kind + -(-of_kind // unit) * unit
+                values = shape + -(-of_shape // unit) * unit
+                return range(values, min(values + 16 * _count(data, shape), len(data)), 16)
+    return range(0)
+
+
+def _count(data: bytes, shape: int) -> int:
+    """Values of a shape; of no more axes than one, which are all that texts and lists have here."""
+    if shape + 16 > len(data) or data[shape + 1] == 0:
+        return 1
+    first = shape + (8 if data[shape] == 1 else 4)
+    return min(int.from_bytes(data[first : first + 8], "little"), _MOST_VALUES)
