@@ -72,6 +72,35 @@ def test_an_attribute_that_is_longer_than_the_file_is_refused(
         check_heaps(written(path, data))
 
 
+TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\0/."), min_size=1, max_size=40)
+ATTRIBUTES = st.dictionaries(
+    TEXTS,
+    st.one_of(TEXTS, st.lists(TEXTS, min_size=1, max_size=5), st.floats(), st.integers(-9, 9)),
+    max_size=12,
+)
+
+
+@given(st.lists(ATTRIBUTES, min_size=1, max_size=8), st.sampled_from(["earliest", "latest"]))
+def test_what_the_library_writes_passes(tmp_path_factory, contents, libver):
+    path = tmp_path_factory.mktemp("written") / "map.h5"
+    with h5py.File(path, "w", libver=libver) as file:
+        for number, attributes in enumerate(contents):
+            stored = file.create_dataset(f"group/L{number}", data=np.full((5, 6), 0.4))
+            stored.attrs.update(attributes)
+    check_superblock(path)
+    check_heaps(path)
+
+
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+def test_an_attribute_may_be_empty(tmp_path, libver):
+    path = tmp_path / "map.h5"
+    with h5py.File(path, "w", libver=libver) as file:
+        stored = file.create_dataset("L1", data=np.full((5, 6), 0.4))
+        stored.attrs["comment"] = h5py.Empty(h5py.string_dtype())
+        stored.attrs["none"] = h5py.Empty("f4")
+    assert read(path).shape == (5, 6)
+
+
 def test_items_larger_than_the_file_are_refused(tmp_path):
     path = tmp_path / "map.h5"
     with h5py.File(path, "w") as file:

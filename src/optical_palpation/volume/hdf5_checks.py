@@ -150,26 +150,40 @@ def _values(data: bytes, kind: int) -> range:
     Samples may look like a type, but not behind what an attribute begins with.
 
     An attribute is its version, the sizes of name, type and shape, and then these and the values.
-    In version 1 each is filled up to 8 bytes.
+    In version 1 each is filled up to 8 bytes; from version 3 on a byte for the name's encoding
+    comes before the name.
     """
-    for version, head, unit in ((1, 8, 8), (2, 8, 1), (3, 9, 1)):
-        for room in range(unit, _LONGEST_NAME, unit):
-            start = kind - head - room
-            if start < 0:
-                break
-            name, of_kind, of_shape = (
-                int.from_bytes(data[start + n : start + n + 2], "little") for n in (2, 4, 6)
-            )
-            if data[start] == version and room - unit < name <= room:
-                shape = kind + -(-of_kind // unit) * unit
-                values = shape + -(-of_shape // unit) * unit
-                return range(values, min(values + 16 * _count(data, shape), len(data)), 16)
+    end = kind
+    while end > kind - 8 and data[end - 1] == 0:
+        end -= 1
+    # the sizes, of which the last one's second byte is zero, end where the name begins
+    name = data.rfind(b"\0", max(end - _LONGEST_NAME, 0), end) + 1
+    for version, start, unit in (
+        (1, name - 8, 8),
+        (2, name - 8, 1),
+        (3, name - 9, 1),  # encoded as ASCII, 0
+        (3, name - 8, 1),  # or UTF-8, 1
+    ):
+        begin = start + (9 if version == 3 else 8)
+        if start < 0 or data[start] != version:
+            continue
+        of_name, of_kind, of_shape = (
+            int.from_bytes(data[at : at + 2], "little") for at in range(start + 2, start + 8, 2)
+        )
+        if of_name == end - begin + 1 and begin + _filled(of_name, unit) == kind:
+            shape = kind + _filled(of_kind, unit)
+            values = shape + _filled(of_shape, unit)
+            return range(values, min(values + 16 * _count(data, shape), len(data)), 16)
     return range(0)
+
+
+def _filled(size: int, unit: int) -> int:
+    return -(-size // unit) * unit
 
 
 def _count(data: bytes, shape: int) -> int:
     """Values of a shape; of no more axes than one, which are all that texts and lists have here."""
     if shape + 16 > len(data) or data[shape + 1] == 0:
-        return 1
+        return 0 if data[shape : shape + 1] == b"\2" and data[shape + 3] == 2 else 1
     first = shape + (8 if data[shape] == 1 else 4)
     return min(int.from_bytes(data[first : first + 8], "little"), _MOST_VALUES)
