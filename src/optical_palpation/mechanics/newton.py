@@ -92,7 +92,8 @@ class Due:
     After ``first`` iterations, where the ``last`` ones left more than a share ``left`` of the
     error, and the columns are at most a share ``most`` of the layer. They are given up after
     ``iterations``. Their volumes may be as much looser than the whole layer's as their forces, or
-    must be as good: thin layers that stick ask for that.
+    must be as good: thin layers that stick ask for that. Where they find no equilibrium they may
+    come to rest ``against_drag``.
     """
 
     first: int
@@ -101,11 +102,13 @@ class Due:
     most: float
     iterations: int
     loose_volumes: bool
+    against_drag: bool
 
 
 #: Where Newton's method is slow, and in a layer that was carried over to a fine grid, where an
 #: iteration of the whole takes as long as many of a small part.
-SLOW, CARRIED = Due(4, 2, 0.5, 0.35, 25, False), Due(2, 1, 0.1, 0.06, 8, True)
+SLOW = Due(4, 2, 0.5, 0.35, 25, loose_volumes=False, against_drag=False)
+CARRIED = Due(2, 1, 0.1, 0.06, 8, loose_volumes=True, against_drag=True)
 
 
 @dataclass
@@ -353,7 +356,7 @@ class _Elimination:
         try:
             found = equilibrate(problem, own, solver, wanted, drag=drag, near=True)[0].state
         except NotConverged:
-            if drag is not None:
+            if drag is not None or not self.due.against_drag:
                 return state
             path = Path(LoadedLayer(problem, solver, None), wanted, wanted, own)
             try:
