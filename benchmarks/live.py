@@ -107,14 +107,14 @@ def chain(loaded, size, count, threads):
 
 
 def arriving(loaded, size, count, threads, workers=1):
-    """Seconds of each map that arrives in a folder, until its result and the table are written.
+    """Seconds from a map in a folder to its result and the table.
 
-    With several workers, of all maps, which are there at once, by their number.
+    The median of maps that arrive one after the other or, with several workers, the time for all of
+    them, which are there at once, by their number.
     """
     from optical_palpation.study.crew import Crew
     from optical_palpation.study.watch import Watch
 
-    seconds = []
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
         (here / "in").mkdir()
@@ -122,20 +122,20 @@ def arriving(loaded, size, count, threads, workers=1):
         watch = Watch(here / "study.toml", here / "in", settle=0.0, threads=threads)
         watch.prepare()
         random = np.random.default_rng(1)
+        paths = []
+        for number in range(count + workers):
+            noisy = loaded.values + 5e-4 * random.standard_normal(loaded.shape)
+            field = thickness_map(noisy, x=loaded["x"].values, y=loaded["y"].values)
+            paths.append(here / "in" / f"{number}.nc")
+            write_thickness_map(field.to_dataset(name="thickness"), paths[-1])
+        first, rest = paths[:workers], paths[workers:]
         with Crew(watch, workers) as crew:
-            for number in range(count):
-                noisy = loaded.values + 5e-4 * random.standard_normal(loaded.shape)
-                field = thickness_map(noisy, x=loaded["x"].values, y=loaded["y"].values)
-                path = here / "in" / f"{number}.nc"
-                write_thickness_map(field.to_dataset(name="thickness"), path)
-                if workers == 1 or number < workers:  # the first ones load the kernels
-                    seconds += _solved(crew, [path])
-            if workers > 1:
-                start = time.perf_counter()
-                rest = [here / "in" / f"{number}.nc" for number in range(workers, count)]
-                _solved(crew, rest)
-                return (time.perf_counter() - start) / len(rest)
-    return np.median(seconds[1:])
+            _solved(crew, first)  # they load the kernels
+            if workers == 1:
+                return float(np.median([_solved(crew, [path])[0] for path in rest]))
+            start = time.perf_counter()
+            _solved(crew, rest)
+            return (time.perf_counter() - start) / count
 
 
 def _solved(crew, paths):

@@ -228,12 +228,8 @@ class Measurement(QGroupBox):
 
     def _ask_for_volume(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "OCT volume")
-        if path:
-            try:
-                self.open(path)
-            except InputError as error:
-                self._bench.said.emit(str(error))
-                self.folded.expand()
+        if not self._bench.attempt(self.open, path):
+            self.folded.expand()
 
     def _list(self) -> None:
         """Offer the volumes that napari shows; keep what was chosen."""

@@ -49,13 +49,21 @@ class Workbench(QObject):
         self.background = Background(self)
         self.result: StressResult | None = None
 
-    def attempt(self, action: Callable[[str], object], path: str) -> None:
-        """Do something with a file that was chosen, if one was; tell the user what is wrong."""
-        if path:
-            try:
+    def attempt(self, action: Callable[[str], object], path: str) -> bool:
+        """Do something with a file that was chosen, if one was; tell the user what is wrong.
+
+        Returns
+        -------
+        bool
+            Whether nothing was wrong.
+        """
+        try:
+            if path:
                 action(path)
-            except OpticalPalpationError as error:
-                self.said.emit(str(error))
+        except OpticalPalpationError as error:
+            self.said.emit(str(error))
+            return False
+        return True
 
     def take_up(self, session: Session) -> None:
         """Work on another study, and show its volumes."""
