@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -219,7 +220,8 @@ def strips(setting: Setting) -> Part:
             )
         )
         if name == "slab":
-            part.rows += _by_load_steps(code, title, reference, sizes, setting)
+            tell = partial(setting.tell, (number + 1) / len(TITLES))
+            part.rows += _by_load_steps(code, title, reference, sizes, tell, setting.quick)
         if differences:
             part.rows.append(
                 Row(
@@ -238,11 +240,21 @@ def strips(setting: Setting) -> Part:
 
 
 def _by_load_steps(
-    code: str, title: str, reference: Reference, sizes: Sequence[float], setting: Setting
+    code: str,
+    title: str,
+    reference: Reference,
+    sizes: Sequence[float],
+    tell: Callable[[str], None],
+    quick: bool,
 ) -> list[Row]:
     """How the force depends on the load steps: friction remembers the path."""
+
+    def force_at(size: float, step: float) -> float:
+        tell(f"{title}, {1e3 * size:g} um, load steps of {step:.0%}")
+        return strip_force(solve_strip(reference, size, step))
+
     longest = StepControl.largest
-    force = strip_force(solve_strip(reference, sizes[0], longest))
+    force = force_at(sizes[0], longest)
     rows = [
         Row(
             code,
@@ -253,9 +265,9 @@ def _by_load_steps(
             "long load steps make the hill of friction higher",
         )
     ]
-    if setting.quick:
+    if quick:
         return rows
-    shorter = [strip_force(solve_strip(reference, sizes[1], step)) for step in _SHORT_STEPS]
+    shorter = [force_at(sizes[1], step) for step in _SHORT_STEPS]
     least, most = min(shorter), max(shorter)
     steps = [f"{100 * step:g}" for step in _SHORT_STEPS]
     rows.append(
