@@ -135,22 +135,43 @@ def test_regions_that_cannot_be_used():
         region_statistics(maps, [region])
 
 
+def test_there_is_nothing_beyond_the_outermost_points():
+    maps = maps_of(lambda x, y: -1.0 - x)
+    low, high = (
+        [float(maps[axis].min()) for axis in "xy"],
+        [float(maps[axis].max()) for axis in "xy"],
+    )
+    whole = Region.rectangle("whole", low[0], high[0], low[1], high[1])
+    wider = Region.rectangle("wider", low[0] - 5, high[0] + 5, low[1] - 5, high[1] + 5)
+    mask = Region.of_mask("mask", xr.ones_like(maps["axial_stress"], dtype=bool))
+    found = region_statistics(maps, [whole, wider, mask], background=None)
+    expected = -maps["axial_stress"].integrate(("x", "y"))
+    np.testing.assert_allclose(found["force"], expected, rtol=1e-12)
+    assert float(found["area"].sel(region="mask")) == pytest.approx(
+        (high[0] - low[0]) * (high[1] - low[1])
+    )
+    outside = Region.rectangle("outside", high[0] + 1e-3, high[0] + 1.0, low[1], high[1])
+    with pytest.raises(InputError, match="lies outside of the map"):
+        region_statistics(maps, [outside])
+
+
 def test_what_lies_beyond_the_map_is_missing():
     maps = maps_of(lambda x, y: x * 0 - 2.0)
-    edge = X[-1] + 0.05
+    edge = X[-1]
     half = Region.rectangle("half", edge - 1.0, edge + 1.0, 0.0, 1.0)
     found = region_statistics(maps, [half], background=None).sel(region="half")
     assert float(found["area"]) == pytest.approx(2.0, rel=0.03)
     assert float(found["missing"]) == pytest.approx(0.5, abs=0.01)
     assert float(found["force"]) == pytest.approx(2.0, rel=0.03)
-    all_of_it = Region.rectangle("all", X[0] - 0.05, edge, Y[0] - 0.025, Y[-1] + 0.025)
+    all_of_it = Region.rectangle("all", X[0], edge, Y[0], Y[-1])
     assert float(region_statistics(maps, [all_of_it], background=None)["missing"][0]) == 0.0
     ring = (all_of_it.outlines[0], Region.rectangle("hole", 2, 3, 0, 1).outlines[0])
     assert Region("ring", ring).beyond(maps["axial_stress"]) == 0.0
     shifted = xr.DataArray(np.ones((4, 4), bool), {"y": Y[:4], "x": X[-2] + 0.1 * np.arange(4)})
     found = region_statistics(maps, [Region.of_mask("m", shifted)], background=None)
-    assert float(found["missing"][0]) == pytest.approx(0.5)
-    assert float(found["area"][0]) == pytest.approx(16 * 0.005)
+    # the second column and the first row lie on the border: half of each
+    assert float(found["missing"][0]) == pytest.approx(2 / 3.5)
+    assert float(found["area"][0]) == pytest.approx(3.5 * 3.5 * 0.005)
 
 
 def test_imagej_regions_lie_where_they_were_drawn(tmp_path):

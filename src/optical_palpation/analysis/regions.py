@@ -181,6 +181,8 @@ class Region:
     def weights(self, like: xr.DataArray) -> xr.DataArray:
         """Share of each pixel of a map that lies in the region, 0 to 1, on ``(y, x)``.
 
+        A pixel is what is nearest to its point, no further than the outermost points of the map.
+
         Raises
         ------
         InputError
@@ -205,25 +207,31 @@ class Region:
         from skimage.measure import points_in_poly
 
         field = check_map(like, "map")
-        reach = np.array(pixel_size(field))[::-1] / 2 * (1 + 1e-6)
+        reach = 1e-6 * np.array(pixel_size(field))[::-1]
         first, last = (np.array([float(field[a][n]) for a in "xy"]) for n in (0, -1))
         low, high = first - reach, last + reach
+
+        def outside(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+            return ((points < low) | (points > high)).any(axis=1)
+
         if self.mask is not None:
             rows, columns = np.nonzero(self.mask.values)
             points = np.stack([self.mask["x"].values[columns], self.mask["y"].values[rows]], -1)
         else:
             points = np.concatenate(self.outlines)
-        if not ((points < low) | (points > high)).any():
+        if not outside(points).any():
             return 0.0
-        if self.mask is None:
-            at = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-            axes = (a + at * (b - a) for a, b in zip(points.min(0), points.max(0), strict=True))
-            points = np.stack(np.meshgrid(*axes), -1).reshape(-1, 2)
-            inside = np.zeros(len(points), bool)
-            for outline in self.outlines:
-                inside ^= points_in_poly(points, outline)
-            points = points[inside]
-        return float(((points < low) | (points > high)).any(axis=1).mean()) if len(points) else 0.0
+        if self.mask is not None:  # of a pixel at the border half is in the map
+            at_border = (abs(points - first) < reach) | (abs(points - last) < reach)
+            areas = np.where(at_border, 0.5, 1.0).prod(axis=1)
+            return float(np.average(outside(points), weights=areas))
+        at = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+        axes = (a + at * (b - a) for a, b in zip(points.min(0), points.max(0), strict=True))
+        points = np.stack(np.meshgrid(*axes), -1).reshape(-1, 2)
+        inside = np.zeros(len(points), bool)
+        for outline in self.outlines:
+            inside ^= points_in_poly(points, outline)
+        return float(outside(points[inside]).mean()) if inside.any() else 0.0
 
     def _shares(
         self, y: NDArray[np.float64], x: NDArray[np.float64], size: tuple[float, float]
@@ -247,8 +255,11 @@ class Region:
         inside = np.zeros(len(grid), bool)
         for outline in self.outlines:
             inside ^= points_in_poly(grid, outline)
-        blocks = inside.reshape(rows.size, count, columns.size, count)
-        shares[np.ix_(rows, columns)] = blocks.mean(axis=(1, 3))
+        first, last = (x[0], y[0]), (x[-1], y[-1])
+        there = ((grid > first) & (grid < last)).all(axis=1)
+        blocks = (rows.size, count, columns.size, count)
+        held = (inside & there).reshape(blocks).sum(axis=(1, 3))
+        shares[np.ix_(rows, columns)] = held / there.reshape(blocks).sum(axis=(1, 3))
         return shares
 
 
@@ -314,12 +325,12 @@ def region_statistics(
     if len(set(names)) < len(names):
         raise InputError(f"regions: names must differ, found {', '.join(names)}")
     field = check_map(maps[variable], variable)
-    dy, dx = pixel_size(field)
+    areas = np.outer(_widths(field["y"].values), _widths(field["x"].values))
     weights = {region.name: region.weights(field).values for region in regions}
     error = _error(maps, variable)
     rows = []
     for region, (name, weight) in zip(regions, weights.items(), strict=True):
-        row = _statistics(name, field.values, weight, dy * dx, error, _FORCES.get(variable))
+        row = _statistics(name, field.values, weight, areas, error, _FORCES.get(variable))
         beyond = region.beyond(field)
         row["area"] /= 1.0 - beyond
         row["missing"] = 1.0 - (1.0 - beyond) * (1.0 - row["missing"])
@@ -364,31 +375,39 @@ _COLUMNS = {
 }
 
 
+def _widths(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Widths of the pixels along an axis, mm; of the outermost only half lies in the map."""
+    middles = 0.5 * (points[1:] + points[:-1])
+    return np.diff(np.concatenate([points[:1], middles, points[-1:]]))
+
+
 def _statistics(
     name: str,
     values: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    pixel: float,
+    share: NDArray[np.float64],
+    areas: NDArray[np.float64],
     error: NDArray[np.float64] | None,
     sign: float | None,
 ) -> dict[str, float]:
-    seen = np.isfinite(values) & (weight > 0)
+    seen = np.isfinite(values) & (share > 0)
     if not seen.any():
         raise InputError(f"region {name!r} holds no value: the map is missing all over it")
-    w, v = weight[seen], values[seen]
+    held = share * areas
+    w, v = held[seen], values[seen]
     mean = float(np.average(v, weights=w))
     # of pixels that only touch the region, none is its extreme, unless there are no others
-    inner = v[w >= 0.5] if (w >= 0.5).any() else v
+    most = share[seen] >= 0.5
+    inner = v[most] if most.any() else v
     row = {
         "mean": mean,
         "standard_deviation": float(np.sqrt(np.average((v - mean) ** 2, weights=w))),
         "minimum": float(inner.min()),
         "maximum": float(inner.max()),
-        "area": float(weight.sum() * pixel),
-        "missing": float(1.0 - w.sum() / weight.sum()),
+        "area": float(held.sum()),
+        "missing": float(1.0 - w.sum() / held.sum()),
     }
     if sign is not None:
-        row["force"] = sign * float(w @ v) * pixel
+        row["force"] = sign * float(w @ v)
     if error is not None:
         known = np.isfinite(error[seen])
         there = known.any()
@@ -396,7 +415,7 @@ def _statistics(
             float(np.average(error[seen][known], weights=w[known])) if there else np.nan
         )
         if sign is not None:
-            row["force_error"] = row["mean_error"] * float(w.sum()) * pixel
+            row["force_error"] = row["mean_error"] * float(w.sum())
     return row
 
 
