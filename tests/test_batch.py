@@ -315,6 +315,7 @@ def test_real_scheduler_lost_workers_and_a_damaged_scan(tmp_path, reference):
     assert list(written["status"]) == ["done", "done", "failed", "done", "done"]
     assert written["window_force_mN"].notna().sum() == 4
     assert list(written["bump.area_mm2"].dropna()) == pytest.approx([0.25] * 4)
+    assert list(written["bump.missing"].dropna()) == [0.0] * 4
     assert (written["bump.mean_kPa"].dropna() < 0).all()
     stored = pd.read_parquet(batch.folder / "scans.parquet")
     numbers = list(stored.select_dtypes("number"))

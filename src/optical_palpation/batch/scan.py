@@ -200,15 +200,21 @@ def _row(
 
 
 def _regions(maps: xr.Dataset, path: Path) -> dict[str, float]:
-    """Mean, spread, force and area in each region, on columns of its name."""
+    """Mean, spread, force, area and what is missing in each region, on columns of its name."""
     from optical_palpation.analysis import read_regions, region_statistics
 
     found = region_statistics(maps, read_regions(path, maps))
-    units = {"mean": "kPa", "standard_deviation": "kPa", "force": "mN", "area": "mm2"}
+    columns = {
+        "mean": "mean_kPa",
+        "standard_deviation": "standard_deviation_kPa",
+        "force": "force_mN",
+        "area": "area_mm2",
+        "missing": "missing",
+    }
     return {
-        f"{region}.{key}_{unit}": float(found[key].sel(region=region))
+        f"{region}.{column}": float(found[key].sel(region=region))
         for region in found["region"].values
-        for key, unit in units.items()
+        for key, column in columns.items()
     }
 
 
