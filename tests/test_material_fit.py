@@ -262,6 +262,40 @@ def test_every_convention_reads_as_the_same_test(tmp_path):
         read_uniaxial_test(only, measure="engineering")
 
 
+@pytest.mark.parametrize(
+    "header",
+    [
+        "strain,true stress",
+        "strain,Cauchy stress",
+        "logarithmic strain,stress",
+        "log strain,engineering stress",
+        "Hencky strain,stress",
+        "true strain,force",
+    ],
+)
+def test_measures_that_may_differ_are_refused(tmp_path, header):
+    e = np.linspace(0.0, 0.4, 20)
+    path = write(tmp_path / "t.csv", header, -e, -8.0 * e)
+    with pytest.raises(InputError, match=r"different measures|nothing is said"):
+        read_uniaxial_test(path, area=100.0)
+    if "stress" in header and "engineering" not in header:
+        test = read_uniaxial_test(path, measure="true")
+        np.testing.assert_allclose(test.stretch, np.exp(-e), rtol=1e-8)
+
+
+def test_the_direction_is_said_once(tmp_path):
+    e = np.linspace(0.0, 0.4, 20)
+    for header, loading in (
+        ("tensile strain,stress", "tension"),
+        ("compressive strain,stress", "compression"),
+        ("strain,stress (tension)", "tension"),
+    ):
+        path = write(tmp_path / "t.csv", header, e, 8.0 * e)
+        assert read_uniaxial_test(path).loading == loading
+    with pytest.raises(InputError, match="say which"):
+        read_uniaxial_test(write(tmp_path / "t.csv", "compressive strain,tensile stress", e, e * 8))
+
+
 def test_tension_and_unloading(tmp_path):
     e = np.concatenate([np.linspace(0.0, 0.6, 30), np.linspace(0.55, 0.0, 10)])
     stress = np.concatenate([e[:30] * 10.0, e[30:] * 8.0])

@@ -212,7 +212,7 @@ class Region:
         low, high = first - reach, last + reach
 
         def outside(points: NDArray[np.float64]) -> NDArray[np.bool_]:
-            return ((points < low) | (points > high)).any(axis=1)
+            return np.any((points < low) | (points > high), axis=1)
 
         if self.mask is not None:
             rows, columns = np.nonzero(self.mask.values)

@@ -39,8 +39,10 @@ _OTHER_UNITS |= {
 }
 _OTHER_CASES = {"MN", "mPa"}
 # What else may stand in brackets after a name.
-_REMARKS = {"engineering", "nominal", "true", "cauchy", "logarithmic", "compression", "tension"}
-_REMARKS |= {"compressive", "tensile", "axial", "abs", "mean", "average", "corrected"}
+_ENGINEERING = {"engineering", "nominal"}
+_TRUE = {"true", "cauchy", "logarithmic", "log", "hencky", "natural"}
+_REMARKS = {*_ENGINEERING, *_TRUE, "compression", "tension", "compressive"}
+_REMARKS |= {"tensile", "axial", "abs", "mean", "average", "corrected"}
 # Above these a column without a unit is in another one than is assumed.
 _LARGEST_STRAIN = 3.0
 # kPa, secant moduli of layers; and of the hardest rubbers.
@@ -169,13 +171,12 @@ def read_uniaxial_test(
 
     Columns are found by name: *strain* and *stress*, or else *displacement* (compression,
     extension) with `height` and *force* (load) with `area`. Names carry measure (*engineering* or
-    *nominal*, *true* or *cauchy*; engineering where nothing is said) and unit (percent; Pa, kPa,
-    MPa, GPa, N/mm2; nm to m; uN to kN) in the header or a second line below it; another unit is
-    refused. Without one they are the fraction, kPa, mm and N, as far as that is plausible. Either
-    sign
-    convention is taken: strain and stress of opposite signs mean compression, and so do two
-    negative ones; two positive ones are decided by *compression* or *tension* in a name, or by
-    `loading`. Rows after the largest strain (unloading) are dropped.
+    *nominal*, *true*, *cauchy* or *logarithmic*; engineering where neither says it) and unit
+    (percent; Pa, kPa, MPa, GPa, N/mm2; nm to m; uN to kN) in the header or a second line below it;
+    another unit is refused. Without one they are the fraction, kPa, mm and N, as far as that is
+    plausible. Either sign convention is taken: strain and stress of opposite signs mean
+    compression, and so do two negative ones; two positive ones are decided by *compression* or
+    *tension* in a name, or by `loading`. Rows after the largest strain (unloading) are dropped.
 
     Parameters
     ----------
@@ -212,15 +213,25 @@ def read_uniaxial_test(
     if x.size < 5:
         raise InputError(f"{path}: {x.size} rows, at least 5 are needed")
 
-    strain_measure = _measure_of(strain_name)
-    found = measure or _measure_of(stress_name) or strain_measure or "engineering"
+    strain_measure, stress_measure = _measure_of(strain_name), _measure_of(stress_name)
+    if "stress" not in _words(stress_name):  # a force counts per unloaded area
+        stress_measure = "engineering"
+    found = measure or stress_measure or strain_measure or "engineering"
     if strain_measure is not None and strain_measure != found:
         raise InputError(
             f"{path}: strain column {strain_name!r} and stress column {stress_name!r} are of "
             "different measures; name two columns of the same one"
         )
+    is_strain = "strain" in _words(strain_name)
+    if measure is None and found == "true" and is_strain and strain_measure != stress_measure:
+        silent = strain_name if strain_measure is None else stress_name
+        raise InputError(
+            f"{path}: one of the columns {strain_name!r} and {stress_name!r} is true, and of "
+            f"{silent!r} nothing is said. If it is true as well, say so (measure = 'true'); if "
+            "not, give both as engineering ones"
+        )
     stress_unit: str | None = ""
-    if "strain" in _words(strain_name):
+    if is_strain:
         strain_unit = _unit(strain_name, _STRAIN_UNITS, path)
         if strain_unit is None and np.abs(x).max() > _LARGEST_STRAIN:
             raise InputError(
@@ -265,7 +276,7 @@ def read_uniaxial_test(
     sign = _direction(x, y, f"{strain_name} {stress_name}", loading, path)
     x = sign * np.sign(x[-1]) * x
     y = sign * np.sign(y[-1]) * y
-    true_strain = found == "true" and "strain" in _words(strain_name)
+    true_strain = found == "true" and is_strain
     return UniaxialTest(np.exp(x) if true_strain else 1.0 + x, y, found, path.name)
 
 
@@ -289,9 +300,9 @@ def _words(name: str) -> set[str]:
 
 def _measure_of(name: str) -> Measure | None:
     words = _words(name)
-    if words & {"true", "cauchy", "logarithmic"}:
+    if words & _TRUE:
         return "true"
-    return "engineering" if words & {"engineering", "nominal"} else None
+    return "engineering" if words & _ENGINEERING else None
 
 
 def _find(table: Columns, path: Path, measure: Measure | None, first: str, otherwise: str) -> str:
@@ -362,12 +373,13 @@ def _direction(
             loading = "compression"
         else:
             words = _words(names)
-            said = {word for word in ("compression", "compressive", "tension") if word in words}
-            if not said:
+            compressed = bool(words & {"compression", "compressive"})
+            pulled = bool(words & {"tension", "tensile"})
+            if compressed == pulled:
                 raise InputError(
                     f"{path}: strain and stress are both positive, which may be a tension test or "
                     "a compression test counted positive; say which (loading = 'compression' or "
                     "'tension')"
                 )
-            loading = "tension" if said == {"tension"} else "compression"
+            loading = "tension" if pulled else "compression"
     return -1.0 if loading == "compression" else 1.0
