@@ -277,6 +277,41 @@ for fmt, write in BARE.items():
         **FIELD,
     )
 
+NAMES = (
+    "nx ny|Nx Ny|xc yc|xdim ydim|x_dim y_dim|dim_x dim_y|ix iy|n_x n_y|X-axis Y-axis|"
+    "x_index y_index|x_pix y_pix|x_px y_px|xpixel ypixel|xsize ysize|xx yy|pos_x pos_y|"
+    "axis_x axis_y|coord_x coord_y|scan_x scan_y|x_grid y_grid|xdir ydir|lateral_x lateral_y|"
+    "x_lateral y_lateral|ncol nrow|ncols nrows|n_cols n_rows|pixel line|samples lines|"
+    "projection_x_coordinate projection_y_coordinate|image_width image_height|qx qy|nx row|"
+    "pixelX yPixel|xc lines|xpos other|of_xy_x of_xy_y"
+)
+for pair in NAMES.split("|"):
+    dims = tuple(pair.split())
+    add(f"nc3 ({pair})", stored(netcdf3, named("L1", SQUARE.T, dims)), Read(SQUARE))
+for pair in ("nx ny", "n_cols n_rows", "x_lateral y_lateral"):
+    dims = tuple(pair.split())
+    for fmt, write in LABELLED.items():
+        if fmt != "nc3":
+            add(f"{fmt} ({pair})", stored(write, named("L1", SQUARE.T, dims)), Read(SQUARE))
+for pair in ("nz nx", "depth x", "axial lateral"):
+    parts = named("L1", MAP, tuple(pair.split()))
+    add(f"nc3 ({pair})", stored(netcdf3, parts), Refused(r"dimensions \(.*\), not \(y, x\)"))
+parts = named("L1", SQUARE, ("x_row", "x_row2"))
+add("nc3 x twice", stored(netcdf3, parts), Refused("the same twice"))
+add(
+    "nc3 (nx, ny) with coordinates",
+    stored(
+        netcdf3,
+        {
+            "L1": (("nx", "ny"), SQUARE.T, {}),
+            "nx": (("nx",), X[:4], {"units": "mm"}),
+            "ny": (("ny",), Y, {"units": "mm"}),
+        },
+    ),
+    Read(SQUARE, X[:4], Y),
+    variable="L1",
+)
+
 # --- units --------------------------------------------------------------------------------------
 
 SCALES = {"mm": 1.0, "um": 1e3, "nm": 1e6, "microns": 1e3}

@@ -335,3 +335,10 @@ IN_MEMORY = xr.DataArray(
 def test_what_is_no_map_in_memory_is_refused(values, given, says):
     with pytest.raises(InputError, match=says):
         thickness_map(values, **given)
+
+
+def test_dimensions_in_memory_are_named_as_in_files():
+    turned = thickness_map(
+        IN_MEMORY.drop_vars(["x", "y"]).T.rename(x="nx", y="ny"), field_of_view=(5, 1)
+    )
+    assert turned.shape == (3, 6)

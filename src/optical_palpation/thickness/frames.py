@@ -12,7 +12,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from optical_palpation.arguments import explained
 from optical_palpation.errors import InputError
-from optical_palpation.volume.labels import axis_of, counts_pixels
+from optical_palpation.volume.axes import axes_of_dimensions
+from optical_palpation.volume.labels import counts_pixels
 from optical_palpation.volume.units import MM, stated_unit
 
 # Of the width of a map, by which the extent of the layer may reach beyond it: rounding.
@@ -284,8 +285,8 @@ def _unlabelled(values: Any, where: str) -> tuple[NDArray[Any], dict[str, NDArra
         )
     check_kind(values.shape, values.dtype, where)
     dims = [str(dim) for dim in values.dims]
-    order = [axis_of(dim) for dim in dims]
-    if set(order) & {"x", "y"}:
+    order = axes_of_dimensions(dims)
+    if any(order):
         if set(order) != {"x", "y"}:
             raise InputError(f"{where}: has the dimensions {values.dims}, not (y, x)")
         values = values.transpose(*(dims[order.index(axis)] for axis in "yx"))

@@ -12,20 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from .axes import SYNONYMS, axes_of_dimensions
 from .contents import Contents, Variable
 from .units import MM, is_unit_key, split_unit, stated_unit
 
 _ALL = (slice(None),) * 32
 #: Most values of a map or a coordinate.
 MAX_VALUES = 2**24
-#: What else axes of a map are called.
-_SYNONYMS = {"column": "x", "columns": "x", "col": "x", "cols": "x", "row": "y", "rows": "y"}
-_SYNONYMS |= {"lon": "x", "longitude": "x", "easting": "x"}
-_SYNONYMS |= {"lat": "y", "latitude": "y", "northing": "y"}
-#: Names of dimensions only: a variable of this name may hold anything.
-_DIMENSIONS = {"width": "x", "height": "y"}
 _POSITION = re.compile(r"([xyz])(?:s|_?(?:pos|position|coord|coordinate|axis)s?)")
-_NUMBERED = re.compile(r"([xyz])_?[0-9]")
 _STANDARD = {"projection_x_coordinate": "x", "projection_y_coordinate": "y"}
 
 
@@ -62,13 +56,7 @@ def axis_of(name: str, variable: Variable | None = None) -> str:
     stem = split_unit(name.rpartition("/")[2])[0].lower()
     if position := _POSITION.fullmatch(stem):
         return position[1]
-    return _SYNONYMS.get(stem, stem)
-
-
-def _axis_of_dimension(name: str) -> str:
-    axis = axis_of(name)
-    numbered = _NUMBERED.fullmatch(axis)
-    return numbered[1] if numbered else _DIMENSIONS.get(axis, axis)
+    return SYNONYMS.get(stem, stem)
 
 
 def values_of(path: Path, name: str, variable: Variable) -> NDArray:
@@ -91,13 +79,14 @@ def coordinate(path: Path, contents: Contents, name: str, axis: str) -> Coordina
     """
     group = name.rpartition("/")[0]
     dims = contents.variables[name].dims
+    by_dimension = dict(zip(dims, axes_of_dimensions(dims), strict=True))
     while True:
         names = [
             other
             for other, variable in contents.variables.items()
             if other != name
             and other.rpartition("/")[0] == group
-            and axis_of(other, variable) == axis
+            and axis in (axis_of(other, variable), by_dimension.get(other.rpartition("/")[2]))
         ]
         if names or not (group and dims):
             break
@@ -228,20 +217,19 @@ def _order(
     stated = variable.stated.axes
     if stated is not None and sorted(stated.lower()) == sorted(axes):
         names = list(stated.lower())
-    for number, dim in enumerate(variable.dims):
-        label = _axis_of_dimension(dim)
-        if label in axes and names[number] not in (None, label):
+    for number, label in enumerate(axes_of_dimensions(variable.dims)):
+        if label is None:
+            continue
+        if label not in axes:
+            raise InputError(
+                f"{where} has the dimensions ({', '.join(variable.dims)}), not ({', '.join(axes)})"
+            )
+        if names[number] not in (None, label):
             raise InputError(
                 f"{where}: its axes are said to be {stated}, but its dimensions are "
                 f"({', '.join(variable.dims)})"
             )
-        if label in ("x", "y", "z"):
-            if label not in axes:
-                raise InputError(
-                    f"{where} has the dimensions ({', '.join(variable.dims)}), not "
-                    f"({', '.join(axes)})"
-                )
-            names[number] = label
+        names[number] = label
     for axis, given in found.items():
         at = None
         if given is not None and len(given.dims) == 1 and given.values.ndim == 1:
