@@ -398,6 +398,16 @@ for fmt, write in NETCDF.items():
         "netCDF's default fill, single": named(
             "L1", np.where(HOLE, DEFAULT_FILL, MAP).astype("f4")
         ),
+        "_FillValue in double precision": named(
+            "L1", np.where(HOLE, 0.1, MAP).astype("f4"), missing_value=0.1
+        ),
+        "valid_range of bytes without a sign": named(
+            "L1",
+            np.where(HOLE, 250, 200 * MAP + 0.5).astype("u1").view("i1"),
+            _Unsigned="true",
+            valid_range=np.array([0, -16], "i1"),
+            scale_factor=np.float32(1 / 200),
+        ),
         "scale and offset": named("L1", packed(HOLED), _FillValue=np.int16(-1), **PACKED),
         "scale and offset, netCDF's default fill": named("L1", packed(HOLED, -32767), **PACKED),
         "valid_range of packed values": named(
@@ -407,7 +417,8 @@ for fmt, write in NETCDF.items():
             "L1", packed(HOLED, 9000), valid_range=[0.0, 0.7], **PACKED
         ),
     }.items():
-        add(f"{fmt} {what}", stored(write, parts), Read(HOLED))
+        expected = np.floor(200 * HOLED + 0.5) / 200 if "bytes" in what else HOLED
+        add(f"{fmt} {what}", stored(write, parts), Read(expected))
     add(
         f"{fmt} valid_range that is no range",
         stored(write, named("L1", MAP, valid_range=[0.0, 1.0, 2.0])),
