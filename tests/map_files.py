@@ -752,11 +752,13 @@ add(
 # --- others -------------------------------------------------------------------------------------
 
 
-def zarr(dims: tuple[str, str], **attrs: Any) -> Callable[[Path], Path]:
+def zarr(
+    dims: tuple[str, str] | None, values: np.ndarray = MAP, **attrs: Any
+) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
         import zarr
 
-        stored = MAP if dims == ("y", "x") else MAP.T
+        stored = values.T if dims == ("x", "y") else values
         array = zarr.create_array(
             str(folder / "map.zarr"),
             shape=stored.shape,
@@ -881,6 +883,39 @@ def against_axes(file: h5py.File) -> None:
 
 
 FRAME = 0.02 * np.arange(4), 0.03 * np.arange(4)
+for said in ("x,y", "x y", "x:y", "[x, y]", "XY", ["x", "y"], ["x_um", "y_um"], "column row"):
+    parts = {"L1": ((), SQUARE.T, {}), "axes": ((), said, {})}
+    add(f"npz axes = {said}", stored(npz, parts), Read(SQUARE))
+    parts = named("L1", SQUARE.T, ("", ""), axes=said)
+    add(f"h5labels axes = {said}", stored(hdf5_labels, parts), Read(SQUARE))
+    add(f"zarr axes = {said}", zarr(None, SQUARE.T, axes=said), Read(SQUARE))
+for said in ("zx", "zyx", "ab", "x", ["time", "x"], "yx,t"):
+    parts = {"L1": ((), SQUARE.T, {}), "axes": ((), said, {})}
+    add(f"npz axes = {said}", stored(npz, parts), Refused("no order of y and x such as 'yx'"))
+for fmt, write in (("mat5", matlab5), ("npz", npz)):
+    for name in ("axes", "scale"):
+        parts = {"L1": ((), MAP, {}), name: ((), 0.5, {})}
+        add(f"{fmt} {name} that is a number", stored(write, parts), Refused("another name"))
+
+
+def of_nexus(file: h5py.File, axes: Any, **attrs: Any) -> None:
+    file["scan/L1"], file["scan/x"], file["scan/y"] = SQUARE.T, X[:4], Y
+    file["scan"].attrs.update(NX_class="NXdata", signal="L1", axes=axes)
+    file["scan/L1"].attrs.update(attrs)
+
+
+nexus = {"variable": "scan/L1"}
+add("h5 NeXus", hdf5(lambda f: of_nexus(f, ["x", "y"])), Read(SQUARE, X[:4], Y), **nexus)
+add("h5 NeXus, one text", hdf5(lambda f: of_nexus(f, "x:y")), Read(SQUARE, X[:4], Y), **nexus)
+add(
+    "h5 NeXus against labels",
+    hdf5(lambda f: of_nexus(f, ["x", "y"], DIMENSION_LABELS=["y", "x"])),
+    Refused(r"said to be \(x, y\), but its dimensions are \(y, x\)"),
+)
+for dims in (["x", "y"], ["y", "x"]):
+    turned = SQUARE.T if dims[0] == "x" else SQUARE
+    parts = named("L1", turned, ("", ""), _ARRAY_DIMENSIONS=dims)
+    add(f"h5labels dimensions of xarray {dims}", stored(hdf5_labels, parts), Read(SQUARE))
 add("h5 axes by an attribute", hdf5(with_axes), Read(SQUARE, *FRAME), variable=None)
 add("h5 axes against labels", hdf5(against_axes), Refused("axes are said to be xy"))
 

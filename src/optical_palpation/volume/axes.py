@@ -43,6 +43,18 @@ def axes_of_dimensions(names: Sequence[str]) -> list[str | None]:
     return axes
 
 
+def axes_of_text(said: Sequence[str]) -> str:
+    """Return the axes that a text such as ``"yx"``, ``"y, x"`` or ``"y:x"``, or a list, names.
+
+    What is not understood comes as it is, names separated by commas.
+    """
+    names = [n for text in said for n in re.split(r"[\s,:;|]+", text.strip(" []()")) if n]
+    if len(names) == 1 and set(names[0].lower()) <= set("zyx"):
+        return names[0].lower()
+    axes = axes_of_dimensions(names)
+    return "".join(filter(None, axes)) if all(axes) else ",".join(names)
+
+
 def _axis_by_words(name: str) -> str | None:
     words = _words(name)
     letters = {match["axis"] for word in words if (match := _LETTER.fullmatch(word))}

@@ -9,6 +9,7 @@ were never written are missing, not zero.
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .arrays import MAX_BSCAN_BYTES, Key, LazyArray, View, nbytes, reversed_axes
+from .axes import axes_of_dimensions
 from .cf import Decoded
 from .contents import Contents, Variable, unit_texts, unit_texts_above
 from .hdf5_checks import check_heaps, check_superblock, check_text, find_superblock
@@ -312,8 +314,26 @@ def _dims(file: Any, item: Any) -> tuple[str, ...]:
                     f"scale {name!r}"
                 )
         names = [name or label for name, label in zip(names, labels, strict=False)]
-    names = names or labels or _tagged_dims(item)
+    names, listed = names or (labels if any(labels) else []), _listed_dims(item)
+    for one, other in zip(*map(axes_of_dimensions, (names, listed)), strict=False):
+        if one and other and one != other:
+            raise InputError(
+                f"{file.filename}: {item.name}: its axes are said to be ({', '.join(listed)}), but "
+                f"its dimensions are ({', '.join(names)})"
+            )
+    names = names or listed or _tagged_dims(item)
     return tuple(names) if len(names) == item.ndim and any(names) else ()
+
+
+def _listed_dims(item: Any) -> list[str]:
+    """Names of axes by an attribute of xarray, or of a NeXus group whose signal this is."""
+    names = _attribute(item, "_ARRAY_DIMENSIONS", ())
+    above = item.parent
+    if str(_plain(_attribute(above, "signal", ""))) == item.name.rpartition("/")[2]:
+        names = _attribute(above, "axes", names)
+    listed = [str(_plain(name)) for name in np.ravel(names)]
+    listed = re.split("[,:]", listed[0].strip("[]")) if len(listed) == 1 else listed
+    return ["" if name == "." else name for name in listed]
 
 
 def _tagged_dims(item: Any) -> list[str]:

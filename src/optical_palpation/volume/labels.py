@@ -217,6 +217,11 @@ def _order(
     stated = variable.stated.axes
     if stated is not None and sorted(stated.lower()) == sorted(axes):
         names = list(stated.lower())
+    elif stated is not None and variable.stated.described:
+        raise InputError(
+            f"{where}: its axes are said to be {stated!r}, no order of {' and '.join(axes)} such "
+            f"as {axes!r}"
+        )
     for number, label in enumerate(axes_of_dimensions(variable.dims)):
         if label is None:
             continue
