@@ -1143,6 +1143,20 @@ for fmt, write in NETCDF.items():
     parts = named("L1", MAP) | counted
     add(f"{fmt} numbers of pixels", stored(write, parts), Refused("in mm"), variable="L1")
     add(f"{fmt} numbers of pixels, given", stored(write, parts), Read(MAP), variable="L1", **FIELD)
+    for what, change, attrs in (
+        ("of a part", lambda at: 4.0 + at, {}),
+        ("falling", lambda at: 20.0 - at, {}),
+        ("of averages", lambda at: 2.0 * at - 1.5, {}),
+        ("that are whole", lambda at: (20 * at).astype("i4"), {}),
+        ("in pixels", lambda at: 0.5 * at, {"units": "pixel"}),
+        ("of unit 1", lambda at: 0.5 * at, {"units": "1"}),
+    ):
+        numbers: Parts = {a: (d, change(at), attrs) for a, (d, at, _) in counted.items()}
+        write_, says = stored(write, parts | numbers), Refused("say the unit of the coordinates")
+        add(f"{fmt} numbers of pixels {what}", write_, says, variable="L1")
+        given = f"{fmt} numbers of pixels {what}, given"
+        answer = Read(MAP[::-1, ::-1] if what == "falling" else MAP)
+        add(given, write_, answer, variable="L1", **FIELD)
     in_mm = {axis: (dims, at, {"units": "mm"}) for axis, (dims, at, _) in counted.items()}
     whole = Read(MAP, 1.0 + np.arange(5), 1.0 + np.arange(4))
     add(f"{fmt} a pixel per mm", stored(write, parts | in_mm), whole, variable="L1")

@@ -13,7 +13,7 @@ from scipy.interpolate import RectBivariateSpline
 from optical_palpation.arguments import explained
 from optical_palpation.errors import InputError
 from optical_palpation.volume.axes import axes_of_dimensions
-from optical_palpation.volume.labels import counts_pixels
+from optical_palpation.volume.labels import PIXEL, counts_pixels, unit_of_positions
 from optical_palpation.volume.units import MM, stated_unit
 
 # Of the width of a map, by which the extent of the layer may reach beyond it: rounding.
@@ -101,8 +101,9 @@ def map_on_grid(
             positions = np.linspace(0.0, (count - 1) * spacing[index], count)
         else:
             raise InputError(
-                f"{where} carries no coordinates in mm (numbers of pixels are none): give the "
-                "field of view (x, y) or the pixel spacing (x, y) in mm"
+                f"{where} carries no coordinates in mm (numbers of pixels, such as whole numbers "
+                "without a unit, are none): give the field of view (x, y) or the pixel spacing "
+                "(x, y) in mm, or say the unit of the coordinates in the file"
             )
         for name, numbers, extent in (
             ("field of view", field, 1.0),
@@ -294,10 +295,12 @@ def _unlabelled(values: Any, where: str) -> tuple[NDArray[Any], dict[str, NDArra
     for axis, dim in zip("yx", values.dims, strict=True):
         if dim in values.coords and order.count(axis):
             own = values[dim]
-            unit = stated_unit(str(dim), own.attrs, f"{where}, coordinate {dim}")
+            unit = unit_of_positions(str(dim), own.attrs, f"{where}, coordinate {dim}")
             positions = _floats(own.values, axis, where)
-            if unit is not None or not counts_pixels(positions):
+            if unit != PIXEL and (unit or not counts_pixels(own.values)):
                 coordinates[axis] = positions * MM[unit or "mm"]
+            elif positions[0] > positions[-1]:
+                values = values.isel({dim: slice(None, None, -1)})
     unit = stated_unit(str(values.name or ""), values.attrs, where) or "mm"
     return np.asarray(values.values, np.float64) * MM[unit], coordinates
 

@@ -20,17 +20,25 @@ _ALL = (slice(None),) * 32
 #: Most values of a map or a coordinate.
 MAX_VALUES = 2**24
 _POSITION = re.compile(r"([xyz])(?:s|_?(?:pos|position|coord|coordinate|axis)s?)")
+#: Unit of coordinates that are numbers of pixels.
+PIXEL = "pixel"
+_COUNTS = {"", "1", "-", "px", "pix", PIXEL, "pixels", "index", "sample", "samples"}
+_COUNTED = re.compile(r".*[_\s.(\[-](px|pix|pixels?|idx|index)[)\]]?", re.IGNORECASE)
 _STANDARD = {"projection_x_coordinate": "x", "projection_y_coordinate": "y"}
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """Positions along an axis, as stored: ``(n,)``, or those of every pixel, and their unit."""
+    """Positions along an axis, as stored: ``(n,)``, or those of every pixel, and their unit.
+
+    ``counted`` marks numbers of pixels, by their unit or as whole numbers without one.
+    """
 
     name: str
     values: NDArray[np.float64]
     dims: tuple[str, ...]
     unit: str | None
+    counted: bool = False
 
 
 @dataclass(frozen=True)
@@ -109,16 +117,36 @@ def coordinate(path: Path, contents: Contents, name: str, axis: str) -> Coordina
         )
     if squeezed.ndim == 2 and variable.dims and variable.dims == dims[::-1] != dims:
         squeezed = squeezed.T  # as the array is stored
-    return Coordinate(own[0], squeezed, variable.dims, stated_unit(own[0], variable.attrs, where))
+    unit = unit_of_positions(own[0], variable.attrs, where)
+    counted = unit == PIXEL or (unit is None and variable.dtype.kind in "iu")
+    unit = None if counted else unit
+    return Coordinate(own[0], squeezed, variable.dims, unit, counted)
 
 
-def counts_pixels(positions: NDArray[np.float64]) -> bool:
-    """Tell whether positions are 0, 1, 2, ... or 1, 2, 3, ...: without a unit they are no mm."""
-    return (
-        positions.size > 2
-        and positions[0] in (0.0, 1.0)
-        and np.array_equal(positions, positions[0] + np.arange(positions.size))
-    )
+def unit_of_positions(name: str, attrs: Mapping[str, object], where: str) -> str | None:
+    """Return the unit of coordinates, ``PIXEL`` where they are said to be numbers of pixels.
+
+    Raises
+    ------
+    InputError
+        As :func:`stated_unit`.
+    """
+    units = [str(value).strip().lower() for key, value in attrs.items() if is_unit_key(key)]
+    if (units and _COUNTS.issuperset(units)) or _COUNTED.fullmatch(name):
+        return PIXEL
+    return stated_unit(name, attrs, where)
+
+
+def counts_pixels(positions: NDArray) -> bool:
+    """Tell whether positions are whole numbers or a whole number apart: without a unit no mm.
+
+    Numbers of the pixels of a part of a map begin anywhere, those of averages over blocks lie in
+    between.
+    """
+    if positions.dtype.kind in "iu":
+        return True
+    steps = np.diff(positions)
+    return steps.size > 1 and steps[0] % 1.0 == 0.0 != steps[0] and bool((steps == steps[0]).all())
 
 
 def attributes_of(path: Path, contents: Contents, name: str) -> Mapping[str, object]:
@@ -188,8 +216,9 @@ def labelled(
                 + f"), but its shape is {given.values.shape}. If it is something else, store the "
                 "map in a file of its own"
             )
-        if given.unit is None and counts_pixels(vector):
+        if given.counted or (given.unit is None and counts_pixels(vector)):
             positions[axis] = None
+            values = np.flip(values, number) if vector[0] > vector[-1] else values
             continue
         unit = given.unit or _common_unit(contents, given, f"{path}, variable {given.name}")
         positions[axis] = vector * MM[unit]
