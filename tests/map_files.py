@@ -296,6 +296,25 @@ for pair in ("nx ny", "n_cols n_rows", "x_lateral y_lateral"):
 for pair in ("nz nx", "depth x", "axial lateral"):
     parts = named("L1", MAP, tuple(pair.split()))
     add(f"nc3 ({pair})", stored(netcdf3, parts), Refused(r"dimensions \(.*\), not \(y, x\)"))
+for fmt, write in LABELLED.items():
+    masked: Parts = {
+        "L1": (("band", "x", "y"), SQUARE.T[np.newaxis], {}),
+        "filled": (("band", "x", "y"), HOLE[np.newaxis, :, :4].transpose(0, 2, 1) * 1.0, {}),
+    }
+    add(
+        f"{fmt} (band, x, y)",
+        stored(write, masked),
+        Read(np.where(HOLE[:, :4], np.nan, SQUARE)),
+        variable="L1",
+        **FIELD,
+    )
+    parts = named("L1", MAP[..., np.newaxis], ("y", "x", "time"))
+    add(f"{fmt} (y, x, time)", stored(write, parts), Read(MAP))
+    parts = named("L1", MAP[:, np.newaxis], ("z", "y", "x"))
+    add(f"{fmt} one B-scan (z, y, x)", stored(write, parts), Refused(r"\(z, x\), not \(y, x\)"))
+for fmt, write in BARE.items():
+    add(f"{fmt} 4 x 5 x 1", stored(write, {"L1": ((), MAP[..., np.newaxis], {})}), Read(MAP))
+    add(f"{fmt} 1 x 4 x 5", stored(write, {"L1": ((), MAP[np.newaxis], {})}), Read(MAP))
 parts = named("L1", SQUARE, ("x_row", "x_row2"))
 add("nc3 x twice", stored(netcdf3, parts), Refused("the same twice"))
 add(
@@ -466,6 +485,8 @@ def npy(values: Any) -> Callable[[Path], Path]:
     return make
 
 
+add("npy 4 x 5 x 1", npy(MAP[..., np.newaxis]), Read(MAP))
+add("npy 1 x 1 x 4 x 5", npy(MAP[np.newaxis, np.newaxis]), Read(MAP))
 for mark in (999.0, 9999.0, 99999.0, 999.9, 32767.0, 65535.0, 1e20, DEFAULT_FILL / 2, 3.4e38):
     add(f"npy {mark:g} for missing", npy(np.where(HOLE, mark, MAP)), Refused("a mark of missing"))
 for mark in (0.0, -1.0, -999.0, -9999.0):
