@@ -531,6 +531,27 @@ add("npy big-endian", npy(MAP.astype(">f8")), Read(MAP))
 add("npy columns first", npy(np.asfortranarray(MAP)), Read(MAP))
 add("npy half precision", npy(MAP.astype("f2")), Read(MAP.astype("f2").astype(float)))
 
+
+def npy_of_two(folder: Path) -> Path:
+    with (folder / "map.npy").open("wb") as file:
+        np.save(file, MAP)
+        np.save(file, HOLE)
+    return folder / "map.npy"
+
+
+add("npy two arrays one after the other", npy_of_two, Refused("bytes follow its array"))
+
+
+def of_pandas(file: h5py.File, blocks: int) -> None:
+    file["t/axis0"], file["t/axis1"] = np.arange(5), np.arange(4)
+    file["t/block0_values"] = MAP
+    if blocks > 1:
+        file["t/block1_values"] = np.arange(4)[:, np.newaxis]
+
+
+add("h5 pandas", hdf5(lambda f: of_pandas(f, 1)), Read(MAP))
+add("h5 pandas, columns of two types", hdf5(lambda f: of_pandas(f, 2)), Refused("a pandas table"))
+
 # --- text ---------------------------------------------------------------------------------------
 
 
@@ -1018,6 +1039,21 @@ for version in (2, 3):
             Read(np.round(HOLED, 4)[::-1], X, Y),
             variable="L1",
         )
+
+
+def zarr_without_a_chunk(folder: Path) -> Path:
+    path = zarr(None)(folder)
+    import zarr as library
+
+    array = library.create_array(
+        str(path), data=MAP, chunks=(2, 2), zarr_format=2, fill_value=None, overwrite=True
+    )
+    assert array.fill_value is None
+    (path / "1.1").unlink()
+    return path
+
+
+add("zarr without a chunk and a fill value", zarr_without_a_chunk, Refused("lacks 1 of 6 chunks"))
 add("zarr unit of the group", zarr_unit_of_group, Read(MAP))
 
 rng = np.random.default_rng(3)

@@ -34,6 +34,8 @@ FORMAT = "HDF5"
 _MAX_OBJECTS = 10_000
 _TRIAL_SECONDS = 3.0
 _MAX_RATIO = 10_000
+# pandas stores the columns of each type apart.
+_PANDAS_BLOCK = re.compile(r"(.*/block)(\d+)_values")
 #: Attributes by which HDF5 and netCDF keep their own books.
 _OWN_ATTRS = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS"}
 _OWN_ATTRS |= {"_Netcdf4Dimid", "_Netcdf4Coordinates"}
@@ -194,6 +196,12 @@ def _variable(path: Path, file: Any, name: str, item: Any, columns_first: bool) 
 def _check_stored(path: Path, dataset: Any) -> None:
     """Refuse a dataset whose values lie elsewhere, or are more than what is stored can hold."""
     where = f"{path}: {dataset.name}"
+    block = _PANDAS_BLOCK.fullmatch(dataset.name)
+    if block and f"{block[1]}{1 - min(int(block[2]), 1)}_values" in dataset.parent:
+        raise InputError(
+            f"{where} is one part of a pandas table whose columns are of several types; write a "
+            "table of floating-point numbers only, or the map alone"
+        )
     if dataset.external or dataset.is_virtual:
         raise InputError(f"{where} keeps its samples in other files; copy them into one")
     if dataset.chunks and nbytes(dataset.chunks, dataset.dtype) > MAX_BSCAN_BYTES:

@@ -124,6 +124,11 @@ def _opened(path: Path, array: Any, where: str) -> Array:
         )
     if array.nchunks_initialized == 0:
         raise InputError(f"{where} has no samples stored")
+    if array.fill_value is None and array.nchunks_initialized < array.nchunks:
+        raise InputError(
+            f"{where} lacks {array.nchunks - array.nchunks_initialized} of {array.nchunks} chunks, "
+            "and no fill value says what they hold: copy it whole, or give it the fill value NaN"
+        )
     _check_blosc(path / array.path, array, where)
     return view
 
