@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,7 +158,7 @@ def attributes_of(path: Path, contents: Contents, name: str) -> Mapping[str, obj
     InputError
         If the unit may stand in something that cannot be read.
     """
-    attrs = contents.variables[name].attrs
+    attrs = _with_unit(contents.variables[name].attrs, f"{path}, variable {name}")
     if any(is_unit_key(key) for key in attrs):
         return attrs
     for other in contents.unread:
@@ -168,6 +169,22 @@ def attributes_of(path: Path, contents: Contents, name: str) -> Mapping[str, obj
                 "out"
             )
     return {**attrs, **contents.unit_texts(name)}
+
+
+def _with_unit(attrs: Mapping[str, object], where: str) -> Mapping[str, object]:
+    """Attributes with the unit that others than ``unit`` state: openPMD's factor, or a symbol."""
+    said = {
+        f"{kind}_unit": attrs[key]
+        for key, kind in (("unit_symbol", "value"), ("unit_name", "data"))
+        if key in attrs
+    }
+    factor: Any = attrs.get("unitSI")
+    if factor is not None:
+        units = [unit for unit, mm in MM.items() if np.all(np.isclose(factor, mm / 1e3, atol=0))]
+        if not units:
+            raise InputError(f"{where}: its unitSI is {factor}, no unit of length in m")
+        said["length_unit"] = units[0]
+    return {**attrs, **said}
 
 
 def labelled(
