@@ -899,6 +899,40 @@ add("h5 unit of the group", hdf5(unit_of_group), Read(MAP))
 add("h5 text units beside", hdf5(unit_beside("", "um")), Read(MAP))
 add("h5 text units beside in a group", hdf5(unit_beside("scan/", "um")), Read(MAP))
 add("h5 units that are a number", hdf5(unit_beside("", 1e-3)), Refused("units may state the unit"))
+for key, said in (("unit_symbol", "um"), ("unit_name", "micrometer"), ("unitSI", 1e-6)):
+    parts = named("L1", 1e3 * MAP, **{key: said})
+    add(f"h5labels {key} = {said}", stored(hdf5_labels, parts), Read(MAP))
+parts = named("L1", MAP, unitSI=0.0254)
+add("h5labels unitSI of inches", stored(hdf5_labels, parts), Refused("no unit of length in m"))
+
+
+def with_links(file: h5py.File) -> None:
+    file["scan/L1"] = MAP
+    file["L1"], file["group"] = h5py.SoftLink("/scan/L1"), h5py.ExternalLink("b.h5", "/")
+
+
+def with_a_time(file: h5py.File) -> None:
+    file["L1"] = MAP
+    space = h5py.h5s.create(h5py.h5s.SCALAR)
+    h5py.h5d.create(file.id, b"acquired", h5py.h5t.UNIX_D32LE, space)
+
+
+def with_an_unknown_filter(file: h5py.File) -> None:
+    plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    plist.set_chunk(MAP.shape)
+    plist.set_filter(32019, h5py.h5z.FLAG_OPTIONAL)
+    space = h5py.h5s.create_simple(MAP.shape)
+    dataset = h5py.h5d.create(file.id, b"L1", h5py.h5t.IEEE_F64LE, space, plist)
+    dataset.write_direct_chunk((0, 0), MAP.tobytes())
+
+
+link = Refused("L1 is a link to /scan/L1; name the array by that")
+add("h5 link", hdf5(with_links), link, variable="L1", **FIELD)
+for name in ("group", "group/L1"):
+    link = Refused("link into another file, b.h5")
+    add(f"h5 link into another file, {name}", hdf5(with_links), link, variable=name, **FIELD)
+add("h5 a time beside", hdf5(with_a_time), Read(MAP))
+add("h5 unknown filter", hdf5(with_an_unknown_filter), Refused("installed: 32019 .*h5repack"))
 
 
 def labelled_without_mask(file: h5py.File) -> None:
