@@ -21,8 +21,8 @@ EXTENT_SLACK = 1e-6
 # Where less of the layer is measured, most of what is computed rests on pixels that are made up.
 _LEAST_MEASURED = 0.5
 # Sizes of numbers that programs write where they have none; of thickness, any below zero is wrong.
-_MARKS = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 99.9, 999.9, 9999.9, 99.99, 32767.0, 65535.0)
-_MARKS += (32768.0, 999.25, 9999.25)  # of signed samples, well logs and surveys
+_MARKS: tuple[float, ...] = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 99.9, 999.9, 9999.9)
+_MARKS += (99.99, 999.25, 9999.25, 32767.0, 32768.0, 65535.0)
 # Of coordinates, over the median step: meshes are graded, but not so.
 _LARGEST_JUMP = 50.0
 # Above so many medians, a thickness that occurs several times is a mark as well.
