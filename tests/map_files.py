@@ -277,6 +277,60 @@ for fmt, write in BARE.items():
         **FIELD,
     )
 
+NAMES = (
+    "nx ny|Nx Ny|xc yc|xdim ydim|x_dim y_dim|dim_x dim_y|ix iy|n_x n_y|X-axis Y-axis|"
+    "x_index y_index|x_pix y_pix|x_px y_px|xpixel ypixel|xsize ysize|xx yy|pos_x pos_y|"
+    "axis_x axis_y|coord_x coord_y|scan_x scan_y|x_grid y_grid|xdir ydir|lateral_x lateral_y|"
+    "x_lateral y_lateral|ncol nrow|ncols nrows|n_cols n_rows|pixel line|samples lines|"
+    "projection_x_coordinate projection_y_coordinate|image_width image_height|qx qy|nx row|"
+    "pixelX yPixel|xc lines|xpos other|of_xy_x of_xy_y"
+)
+for pair in NAMES.split("|"):
+    dims = tuple(pair.split())
+    add(f"nc3 ({pair})", stored(netcdf3, named("L1", SQUARE.T, dims)), Read(SQUARE))
+for pair in ("nx ny", "n_cols n_rows", "x_lateral y_lateral"):
+    dims = tuple(pair.split())
+    for fmt, write in LABELLED.items():
+        if fmt != "nc3":
+            add(f"{fmt} ({pair})", stored(write, named("L1", SQUARE.T, dims)), Read(SQUARE))
+for pair in ("nz nx", "depth x", "axial lateral"):
+    parts = named("L1", MAP, tuple(pair.split()))
+    add(f"nc3 ({pair})", stored(netcdf3, parts), Refused(r"dimensions \(.*\), not \(y, x\)"))
+for fmt, write in LABELLED.items():
+    masked: Parts = {
+        "L1": (("band", "x", "y"), SQUARE.T[np.newaxis], {}),
+        "filled": (("band", "x", "y"), HOLE[np.newaxis, :, :4].transpose(0, 2, 1) * 1.0, {}),
+    }
+    add(
+        f"{fmt} (band, x, y)",
+        stored(write, masked),
+        Read(np.where(HOLE[:, :4], np.nan, SQUARE)),
+        variable="L1",
+        **FIELD,
+    )
+    parts = named("L1", MAP[..., np.newaxis], ("y", "x", "time"))
+    add(f"{fmt} (y, x, time)", stored(write, parts), Read(MAP))
+    parts = named("L1", MAP[:, np.newaxis], ("z", "y", "x"))
+    add(f"{fmt} one B-scan (z, y, x)", stored(write, parts), Refused(r"\(z, x\), not \(y, x\)"))
+for fmt, write in BARE.items():
+    add(f"{fmt} 4 x 5 x 1", stored(write, {"L1": ((), MAP[..., np.newaxis], {})}), Read(MAP))
+    add(f"{fmt} 1 x 4 x 5", stored(write, {"L1": ((), MAP[np.newaxis], {})}), Read(MAP))
+parts = named("L1", SQUARE, ("x_row", "x_row2"))
+add("nc3 x twice", stored(netcdf3, parts), Refused("the same twice"))
+add(
+    "nc3 (nx, ny) with coordinates",
+    stored(
+        netcdf3,
+        {
+            "L1": (("nx", "ny"), SQUARE.T, {}),
+            "nx": (("nx",), X[:4], {"units": "mm"}),
+            "ny": (("ny",), Y, {"units": "mm"}),
+        },
+    ),
+    Read(SQUARE, X[:4], Y),
+    variable="L1",
+)
+
 # --- units --------------------------------------------------------------------------------------
 
 SCALES = {"mm": 1.0, "um": 1e3, "nm": 1e6, "microns": 1e3}
@@ -363,6 +417,16 @@ for fmt, write in NETCDF.items():
         "netCDF's default fill, single": named(
             "L1", np.where(HOLE, DEFAULT_FILL, MAP).astype("f4")
         ),
+        "_FillValue in double precision": named(
+            "L1", np.where(HOLE, 0.1, MAP).astype("f4"), missing_value=0.1
+        ),
+        "valid_range of bytes without a sign": named(
+            "L1",
+            np.where(HOLE, 250, 200 * MAP + 0.5).astype("u1").view("i1"),
+            _Unsigned="true",
+            valid_range=np.array([0, -16], "i1"),
+            scale_factor=np.float32(1 / 200),
+        ),
         "scale and offset": named("L1", packed(HOLED), _FillValue=np.int16(-1), **PACKED),
         "scale and offset, netCDF's default fill": named("L1", packed(HOLED, -32767), **PACKED),
         "valid_range of packed values": named(
@@ -372,7 +436,8 @@ for fmt, write in NETCDF.items():
             "L1", packed(HOLED, 9000), valid_range=[0.0, 0.7], **PACKED
         ),
     }.items():
-        add(f"{fmt} {what}", stored(write, parts), Read(HOLED))
+        expected = np.floor(200 * HOLED + 0.5) / 200 if "bytes" in what else HOLED
+        add(f"{fmt} {what}", stored(write, parts), Read(expected))
     add(
         f"{fmt} valid_range that is no range",
         stored(write, named("L1", MAP, valid_range=[0.0, 1.0, 2.0])),
@@ -420,6 +485,8 @@ def npy(values: Any) -> Callable[[Path], Path]:
     return make
 
 
+add("npy 4 x 5 x 1", npy(MAP[..., np.newaxis]), Read(MAP))
+add("npy 1 x 1 x 4 x 5", npy(MAP[np.newaxis, np.newaxis]), Read(MAP))
 for mark in (999.0, 9999.0, 99999.0, 999.9, 32767.0, 65535.0, 1e20, DEFAULT_FILL / 2, 3.4e38):
     add(f"npy {mark:g} for missing", npy(np.where(HOLE, mark, MAP)), Refused("a mark of missing"))
 for mark in (0.0, -1.0, -999.0, -9999.0):
@@ -463,6 +530,27 @@ for kind, values, says in (
 add("npy big-endian", npy(MAP.astype(">f8")), Read(MAP))
 add("npy columns first", npy(np.asfortranarray(MAP)), Read(MAP))
 add("npy half precision", npy(MAP.astype("f2")), Read(MAP.astype("f2").astype(float)))
+
+
+def npy_of_two(folder: Path) -> Path:
+    with (folder / "map.npy").open("wb") as file:
+        np.save(file, MAP)
+        np.save(file, HOLE)
+    return folder / "map.npy"
+
+
+add("npy two arrays one after the other", npy_of_two, Refused("bytes follow its array"))
+
+
+def of_pandas(file: h5py.File, blocks: int) -> None:
+    file["t/axis0"], file["t/axis1"] = np.arange(5), np.arange(4)
+    file["t/block0_values"] = MAP
+    if blocks > 1:
+        file["t/block1_values"] = np.arange(4)[:, np.newaxis]
+
+
+add("h5 pandas", hdf5(lambda f: of_pandas(f, 1)), Read(MAP))
+add("h5 pandas, columns of two types", hdf5(lambda f: of_pandas(f, 2)), Refused("a pandas table"))
 
 # --- text ---------------------------------------------------------------------------------------
 
@@ -706,11 +794,13 @@ add(
 # --- others -------------------------------------------------------------------------------------
 
 
-def zarr(dims: tuple[str, str], **attrs: Any) -> Callable[[Path], Path]:
+def zarr(
+    dims: tuple[str, str] | None, values: np.ndarray = MAP, **attrs: Any
+) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
         import zarr
 
-        stored = MAP if dims == ("y", "x") else MAP.T
+        stored = values.T if dims == ("x", "y") else values
         array = zarr.create_array(
             str(folder / "map.zarr"),
             shape=stored.shape,
@@ -809,6 +899,40 @@ add("h5 unit of the group", hdf5(unit_of_group), Read(MAP))
 add("h5 text units beside", hdf5(unit_beside("", "um")), Read(MAP))
 add("h5 text units beside in a group", hdf5(unit_beside("scan/", "um")), Read(MAP))
 add("h5 units that are a number", hdf5(unit_beside("", 1e-3)), Refused("units may state the unit"))
+for key, said in (("unit_symbol", "um"), ("unit_name", "micrometer"), ("unitSI", 1e-6)):
+    parts = named("L1", 1e3 * MAP, **{key: said})
+    add(f"h5labels {key} = {said}", stored(hdf5_labels, parts), Read(MAP))
+parts = named("L1", MAP, unitSI=0.0254)
+add("h5labels unitSI of inches", stored(hdf5_labels, parts), Refused("no unit of length in m"))
+
+
+def with_links(file: h5py.File) -> None:
+    file["scan/L1"] = MAP
+    file["L1"], file["group"] = h5py.SoftLink("/scan/L1"), h5py.ExternalLink("b.h5", "/")
+
+
+def with_a_time(file: h5py.File) -> None:
+    file["L1"] = MAP
+    space = h5py.h5s.create(h5py.h5s.SCALAR)
+    h5py.h5d.create(file.id, b"acquired", h5py.h5t.UNIX_D32LE, space)
+
+
+def with_an_unknown_filter(file: h5py.File) -> None:
+    plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    plist.set_chunk(MAP.shape)
+    plist.set_filter(32019, h5py.h5z.FLAG_OPTIONAL)
+    space = h5py.h5s.create_simple(MAP.shape)
+    dataset = h5py.h5d.create(file.id, b"L1", h5py.h5t.IEEE_F64LE, space, plist)
+    dataset.write_direct_chunk((0, 0), MAP.tobytes())
+
+
+link = Refused("L1 is a link to /scan/L1; name the array by that")
+add("h5 link", hdf5(with_links), link, variable="L1", **FIELD)
+for name in ("group", "group/L1"):
+    link = Refused("link into another file, b.h5")
+    add(f"h5 link into another file, {name}", hdf5(with_links), link, variable=name, **FIELD)
+add("h5 a time beside", hdf5(with_a_time), Read(MAP))
+add("h5 unknown filter", hdf5(with_an_unknown_filter), Refused("installed: 32019 .*h5repack"))
 
 
 def labelled_without_mask(file: h5py.File) -> None:
@@ -835,6 +959,39 @@ def against_axes(file: h5py.File) -> None:
 
 
 FRAME = 0.02 * np.arange(4), 0.03 * np.arange(4)
+for said in ("x,y", "x y", "x:y", "[x, y]", "XY", ["x", "y"], ["x_um", "y_um"], "column row"):
+    parts = {"L1": ((), SQUARE.T, {}), "axes": ((), said, {})}
+    add(f"npz axes = {said}", stored(npz, parts), Read(SQUARE))
+    parts = named("L1", SQUARE.T, ("", ""), axes=said)
+    add(f"h5labels axes = {said}", stored(hdf5_labels, parts), Read(SQUARE))
+    add(f"zarr axes = {said}", zarr(None, SQUARE.T, axes=said), Read(SQUARE))
+for said in ("zx", "zyx", "ab", "x", ["time", "x"], "yx,t"):
+    parts = {"L1": ((), SQUARE.T, {}), "axes": ((), said, {})}
+    add(f"npz axes = {said}", stored(npz, parts), Refused("no order of y and x such as 'yx'"))
+for fmt, write in (("mat5", matlab5), ("npz", npz)):
+    for name in ("axes", "scale"):
+        parts = {"L1": ((), MAP, {}), name: ((), 0.5, {})}
+        add(f"{fmt} {name} that is a number", stored(write, parts), Refused("another name"))
+
+
+def of_nexus(file: h5py.File, axes: Any, **attrs: Any) -> None:
+    file["scan/L1"], file["scan/x"], file["scan/y"] = SQUARE.T, X[:4], Y
+    file["scan"].attrs.update(NX_class="NXdata", signal="L1", axes=axes)
+    file["scan/L1"].attrs.update(attrs)
+
+
+nexus = {"variable": "scan/L1"}
+add("h5 NeXus", hdf5(lambda f: of_nexus(f, ["x", "y"])), Read(SQUARE, X[:4], Y), **nexus)
+add("h5 NeXus, one text", hdf5(lambda f: of_nexus(f, "x:y")), Read(SQUARE, X[:4], Y), **nexus)
+add(
+    "h5 NeXus against labels",
+    hdf5(lambda f: of_nexus(f, ["x", "y"], DIMENSION_LABELS=["y", "x"])),
+    Refused(r"said to be \(x, y\), but its dimensions are \(y, x\)"),
+)
+for dims in (["x", "y"], ["y", "x"]):
+    turned = SQUARE.T if dims[0] == "x" else SQUARE
+    parts = named("L1", turned, ("", ""), _ARRAY_DIMENSIONS=dims)
+    add(f"h5labels dimensions of xarray {dims}", stored(hdf5_labels, parts), Read(SQUARE))
 add("h5 axes by an attribute", hdf5(with_axes), Read(SQUARE, *FRAME), variable=None)
 add("h5 axes against labels", hdf5(against_axes), Refused("axes are said to be xy"))
 
@@ -916,6 +1073,21 @@ for version in (2, 3):
             Read(np.round(HOLED, 4)[::-1], X, Y),
             variable="L1",
         )
+
+
+def zarr_without_a_chunk(folder: Path) -> Path:
+    path = zarr(None)(folder)
+    import zarr as library
+
+    array = library.create_array(
+        str(path), data=MAP, chunks=(2, 2), zarr_format=2, fill_value=None, overwrite=True
+    )
+    assert array.fill_value is None
+    (path / "1.1").unlink()
+    return path
+
+
+add("zarr without a chunk and a fill value", zarr_without_a_chunk, Refused("lacks 1 of 6 chunks"))
 add("zarr unit of the group", zarr_unit_of_group, Read(MAP))
 
 rng = np.random.default_rng(3)
@@ -1062,6 +1234,20 @@ for fmt, write in NETCDF.items():
     parts = named("L1", MAP) | counted
     add(f"{fmt} numbers of pixels", stored(write, parts), Refused("in mm"), variable="L1")
     add(f"{fmt} numbers of pixels, given", stored(write, parts), Read(MAP), variable="L1", **FIELD)
+    for what, change, attrs in (
+        ("of a part", lambda at: 4.0 + at, {}),
+        ("falling", lambda at: 20.0 - at, {}),
+        ("of averages", lambda at: 2.0 * at - 1.5, {}),
+        ("that are whole", lambda at: (20 * at).astype("i4"), {}),
+        ("in pixels", lambda at: 0.5 * at, {"units": "pixel"}),
+        ("of unit 1", lambda at: 0.5 * at, {"units": "1"}),
+    ):
+        numbers: Parts = {a: (d, change(at), attrs) for a, (d, at, _) in counted.items()}
+        write_, says = stored(write, parts | numbers), Refused("say the unit of the coordinates")
+        add(f"{fmt} numbers of pixels {what}", write_, says, variable="L1")
+        given = f"{fmt} numbers of pixels {what}, given"
+        answer = Read(MAP[::-1, ::-1] if what == "falling" else MAP)
+        add(given, write_, answer, variable="L1", **FIELD)
     in_mm = {axis: (dims, at, {"units": "mm"}) for axis, (dims, at, _) in counted.items()}
     whole = Read(MAP, 1.0 + np.arange(5), 1.0 + np.arange(4))
     add(f"{fmt} a pixel per mm", stored(write, parts | in_mm), whole, variable="L1")

@@ -17,6 +17,7 @@ import map_files
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.thickness import (
     clean_thickness,
+    read_height_map,
     read_thickness_map,
     thickness_map,
     write_thickness_map,
@@ -335,3 +336,19 @@ IN_MEMORY = xr.DataArray(
 def test_what_is_no_map_in_memory_is_refused(values, given, says):
     with pytest.raises(InputError, match=says):
         thickness_map(values, **given)
+
+
+def test_dimensions_in_memory_are_named_as_in_files():
+    turned = thickness_map(
+        IN_MEMORY.drop_vars(["x", "y"]).T.rename(x="nx", y="ny"), field_of_view=(5, 1)
+    )
+    assert turned.shape == (3, 6)
+
+
+@pytest.mark.parametrize("mark", [-32768.0, -9999.0, 1e20, -999.25])
+def test_marks_of_missing_pixels_are_no_heights(tmp_path, mark):
+    values = np.random.default_rng(1).normal(size=(4, 5))
+    values[1, 2] = mark
+    np.savez(tmp_path / "relief.npz", h_um=values, x_mm=np.arange(5) / 9, y_mm=np.arange(4) / 9)
+    with pytest.raises(InputError, match="mark of missing"):
+        read_height_map(tmp_path / "relief.npz", variable="h_um")

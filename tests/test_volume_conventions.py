@@ -205,3 +205,33 @@ def test_raw_samples_with_two_sidecars(tmp_path):
     entries = json.loads(text)
     (tmp_path / "scan.bin.toml").write_text(f"dtype = '{entries['dtype']}'\n")
     refused(path, "has two sidecars")
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"valid_min": np.int8(0)},
+        {"valid_range": np.array([0, -1], "i1")},
+        {"valid_max": np.int8(-1), "_FillValue": np.int8(-1)},
+        {"valid_max": np.float32(255)},
+    ],
+)
+@pytest.mark.parametrize("engine", ["scipy", "h5netcdf"])
+def test_limits_of_bytes_without_a_sign(tmp_path, limits, engine):
+    values = np.random.default_rng(1).integers(0, 255, V.shape).astype("u1")
+    stored = xr.Variable(tuple("zyx"), values.view("i1"), {"_Unsigned": "true"} | limits)
+    xr.Dataset({"oct": stored}).to_netcdf(tmp_path / "a.nc", engine=engine)
+    right(tmp_path / "a.nc", values, **GIVEN)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_saturated_byte_of_zarr_is_no_fill_value(tmp_path, version):
+    import zarr
+
+    values = np.full(V.shape, 255, "u1")
+    values[2, 1] = 7
+    array = zarr.create_array(
+        str(tmp_path / "a.zarr"), shape=V.shape, dtype="u1", fill_value=255, zarr_format=version
+    )
+    array[:] = values
+    right(tmp_path / "a.zarr", values, axes="zyx", **GIVEN)

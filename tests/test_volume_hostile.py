@@ -628,7 +628,7 @@ CASES: dict[str, Case] = {
     ),
     "hdf5: samples in another file": h5(h5_external, "in other files"),
     "hdf5: virtual dataset": h5(h5_virtual, "in other files"),
-    "hdf5: link to another file": h5(h5_link, "no array", variable="v"),
+    "hdf5: link to another file": h5(h5_link, "a link into another file", variable="v"),
     "hdf5: truncated": file_of(b"\x89HDF\r\n\x1a\n" + bytes(100), "HDF5"),
     "mat: bomb": mat_bomb,
     "mat: huge shape": mat_size,

@@ -12,15 +12,17 @@ from scipy.interpolate import RectBivariateSpline
 
 from optical_palpation.arguments import explained
 from optical_palpation.errors import InputError
-from optical_palpation.volume.labels import axis_of, counts_pixels
+from optical_palpation.volume.axes import axes_of_dimensions
+from optical_palpation.volume.labels import PIXEL, counts_pixels, unit_of_positions
 from optical_palpation.volume.units import MM, stated_unit
 
 # Of the width of a map, by which the extent of the layer may reach beyond it: rounding.
 EXTENT_SLACK = 1e-6
 # Where less of the layer is measured, most of what is computed rests on pixels that are made up.
 _LEAST_MEASURED = 0.5
-# Numbers that programs write where they have none. Those below zero are refused anyhow.
-_MARKS = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 99.9, 999.9, 9999.9, 99.99, 32767.0, 65535.0)
+# Sizes of numbers that programs write where they have none; of thickness, any below zero is wrong.
+_MARKS: tuple[float, ...] = (99.0, 999.0, 9999.0, 99999.0, 999999.0, 99.9, 999.9, 9999.9)
+_MARKS += (99.99, 999.25, 9999.25, 32767.0, 32768.0, 65535.0)
 # Of coordinates, over the median step: meshes are graded, but not so.
 _LARGEST_JUMP = 50.0
 # Above so many medians, a thickness that occurs several times is a mark as well.
@@ -100,8 +102,9 @@ def map_on_grid(
             positions = np.linspace(0.0, (count - 1) * spacing[index], count)
         else:
             raise InputError(
-                f"{where} carries no coordinates in mm (numbers of pixels are none): give the "
-                "field of view (x, y) or the pixel spacing (x, y) in mm"
+                f"{where} carries no coordinates in mm (numbers of pixels, such as whole numbers "
+                "without a unit, are none): give the field of view (x, y) or the pixel spacing "
+                "(x, y) in mm, or say the unit of the coordinates in the file"
             )
         for name, numbers, extent in (
             ("field of view", field, 1.0),
@@ -284,8 +287,8 @@ def _unlabelled(values: Any, where: str) -> tuple[NDArray[Any], dict[str, NDArra
         )
     check_kind(values.shape, values.dtype, where)
     dims = [str(dim) for dim in values.dims]
-    order = [axis_of(dim) for dim in dims]
-    if set(order) & {"x", "y"}:
+    order = axes_of_dimensions(dims)
+    if any(order):
         if set(order) != {"x", "y"}:
             raise InputError(f"{where}: has the dimensions {values.dims}, not (y, x)")
         values = values.transpose(*(dims[order.index(axis)] for axis in "yx"))
@@ -293,10 +296,12 @@ def _unlabelled(values: Any, where: str) -> tuple[NDArray[Any], dict[str, NDArra
     for axis, dim in zip("yx", values.dims, strict=True):
         if dim in values.coords and order.count(axis):
             own = values[dim]
-            unit = stated_unit(str(dim), own.attrs, f"{where}, coordinate {dim}")
+            unit = unit_of_positions(str(dim), own.attrs, f"{where}, coordinate {dim}")
             positions = _floats(own.values, axis, where)
-            if unit is not None or not counts_pixels(positions):
+            if unit != PIXEL and (unit or not counts_pixels(own.values)):
                 coordinates[axis] = positions * MM[unit or "mm"]
+            elif positions[0] > positions[-1]:
+                values = values.isel({dim: slice(None, None, -1)})
     unit = stated_unit(str(values.name or ""), values.attrs, where) or "mm"
     return np.asarray(values.values, np.float64) * MM[unit], coordinates
 

@@ -161,6 +161,7 @@ def _read(
         raise InputError(f"{path} is a directory; give one file")
     reader, contents = open_contents(path, variable, readers=MAP_READERS, untrusted=untrusted)
     with contents, translated_errors(path, reader.FORMAT):
+        contents.variables = {key: array.as_map() for key, array in contents.variables.items()}
         name = _choose(contents.variables, variable, path)
         where = f"{path}, variable {name}" if name else str(path)
         array = contents.variables[name]

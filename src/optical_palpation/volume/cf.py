@@ -57,6 +57,9 @@ class Decoded:
         for key in _NUMBERS:
             if key in attrs and np.asarray(attrs[key]).dtype.kind not in "iuf":
                 raise InputError(f"{where}: {key} is {attrs[key]!r}, no number; store it as one")
+        if stored.kind == "f":  # 0.1 in double precision equals no number in single precision
+            for key in {"_FillValue", "missing_value"} & attrs.keys():
+                self._attrs[key] = _as_stored(np.asarray(attrs[key]), stored)[()]
         self.shape: tuple[int, ...] = tuple(int(n) for n in base.shape)
         self.chunks = tuple(getattr(base, "chunks", None) or (1,) * len(self.shape))
         self._fills = list(fills)
@@ -64,7 +67,10 @@ class Decoded:
         if stored.kind in "iuf" and "_FillValue" not in attrs:
             known = _FILLS | (_INTEGER_FILLS if by_netcdf else {})
             self._fills += [known[kind]] if kind in known else []
-        self._low, self._high, self._packed = _valid_range(attrs, stored, where)
+        signs = {"true": f"u{stored.itemsize}", "false": f"i{stored.itemsize}"}
+        sign = signs.get(str(attrs.get("_Unsigned")).lower()) if stored.kind in "iu" else None
+        self._meant = np.dtype(sign) if sign else stored
+        self._low, self._high, self._packed = _valid_range(attrs, stored, self._meant, where)
         unread = np.broadcast_to(np.zeros((), stored), (0,) * len(self.shape))
         decoded = self._by_xarray(unread)
         self.attrs = {key: value for key, value in decoded.attrs.items() if key not in _RANGE}
@@ -92,7 +98,7 @@ class Decoded:
         for fill in self._fills:
             missing |= raw == np.asarray(fill).astype(raw.dtype)
         if self._limited:
-            compared = raw if self._packed else values
+            compared = raw.astype(self._meant, copy=False) if self._packed else values
             missing |= (compared < self._low) | (compared > self._high)
         if missing.any():  # of whole numbers, floating-point ones
             values = values.astype(np.result_type(values.dtype, np.float32))
@@ -101,9 +107,12 @@ class Decoded:
 
 
 def _valid_range(
-    attrs: Mapping[str, object], stored: np.dtype[Any], where: str
+    attrs: Mapping[str, object], stored: np.dtype[Any], meant: np.dtype[Any], where: str
 ) -> tuple[float, float, bool]:
-    """Lowest and highest valid value, and whether they are compared with the stored values."""
+    """Lowest and highest valid value, and whether they are compared with the stored values.
+
+    `meant` is the stored type with the sign that ``_Unsigned`` gives it.
+    """
     both, low, high = (attrs.get(key) for key in _RANGE)
     limits = (
         both
@@ -121,4 +130,23 @@ def _valid_range(
     scales = [np.asarray(attrs[k]).dtype for k in ("scale_factor", "add_offset") if k in attrs]
     # Of the type of the scale, and wider than what is stored: in unpacked units.
     unpacked = bool(scales) and stored.kind in "iu" and kind.kind == "f"
+    if not unpacked and stored.kind == "f":
+        lowest, highest = _as_stored(np.array([lowest, highest]), stored).tolist()
+    elif meant != stored and kind.kind in "iu":  # the sign holds for the limits as well
+        lowest, highest = (_wrapped(limit, meant) for limit in (lowest, highest))
     return lowest, highest, not unpacked
+
+
+def _wrapped(limit: float, dtype: np.dtype[Any]) -> float:
+    """A number of the other sign, as the bits of a type of integers mean it."""
+    if not np.isfinite(limit):
+        return limit
+    info, span = np.iinfo(dtype), 2.0 ** (8 * dtype.itemsize)
+    return limit + span * (int(limit < info.min) - int(limit > info.max))
+
+
+def _as_stored(values: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Numbers as a floating-point type rounds them, but for those beyond its range."""
+    with np.errstate(over="ignore"):
+        rounded = values.astype(dtype)
+    return np.where(np.isfinite(rounded) == np.isfinite(values), rounded, values)

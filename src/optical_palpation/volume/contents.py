@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from ..errors import InputError
-from .arrays import Array
+from .arrays import Array, View
 from .metadata import Access, Stated
 from .units import is_unit_key
 
@@ -44,6 +44,31 @@ class Variable:
     dims: tuple[str, ...] = ()
     attrs: Mapping[str, object] = field(default_factory=dict)
     stated: Stated = field(default_factory=Stated)
+
+    def as_map(self) -> Variable:
+        """Leave out axes of length one, of time or a band, where two others remain."""
+        kept = tuple(axis for axis, n in enumerate(self.shape) if n != 1)
+        if len(self.shape) <= 2 or len(kept) != 2:
+            return self
+
+        def of_kept(values: Any) -> Any:
+            if values is None or len(values) != len(self.shape):
+                return values
+            return tuple(values[axis] for axis in kept)
+
+        stated = replace(
+            self.stated,
+            axes=self.stated.axes and "".join(of_kept(self.stated.axes)),
+            spacing=of_kept(self.stated.spacing),
+            origin=of_kept(self.stated.origin),
+        )
+        return replace(
+            self,
+            shape=of_kept(self.shape),
+            open=lambda: View(self.open(), kept),
+            dims=of_kept(self.dims),
+            stated=stated,
+        )
 
 
 @dataclass

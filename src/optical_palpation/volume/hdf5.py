@@ -9,6 +9,7 @@ were never written are missing, not zero.
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .arrays import MAX_BSCAN_BYTES, Key, LazyArray, View, nbytes, reversed_axes
+from .axes import axes_of_dimensions
 from .cf import Decoded
 from .contents import Contents, Variable, unit_texts, unit_texts_above
 from .hdf5_checks import check_heaps, check_superblock, check_text, find_superblock
@@ -32,6 +34,8 @@ FORMAT = "HDF5"
 _MAX_OBJECTS = 10_000
 _TRIAL_SECONDS = 3.0
 _MAX_RATIO = 10_000
+# pandas stores the columns of each type apart.
+_PANDAS_BLOCK = re.compile(r"(.*/block)(\d+)_values")
 #: Attributes by which HDF5 and netCDF keep their own books.
 _OWN_ATTRS = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS"}
 _OWN_ATTRS |= {"_Netcdf4Dimid", "_Netcdf4Coordinates"}
@@ -53,16 +57,23 @@ def contents(path: Path, wanted: str | None) -> Contents:
             by_octave = group != "" and "OCTAVE_NEW_FORMAT" in file[group].attrs
             if by_octave and name == f"{group}/value":
                 name = group
-            is_text = item.dtype.kind in "SO" and item.size == 1
+            try:
+                kind = item.dtype.kind
+            except TypeError:  # times of HDF5 itself, which NumPy has no type for
+                unread.append(name)
+                continue
+            is_text = kind in "SO" and item.size == 1
             if is_text and is_unit_key(name.rpartition("/")[2]):
                 check_text(path, item)
                 texts[name] = str(_plain(np.asarray(item[()]).ravel()[0]))
-            elif item.dtype.kind not in "biufc" and not is_complex_pair(item.dtype):
+            elif kind not in "biufc" and not is_complex_pair(item.dtype):
                 unread.append(name)
             elif not _is_bare(item):
                 columns_first = by_octave or "MATLAB_class" in item.attrs
                 found[name] = _variable(path, file, name, item, columns_first)
         unread += [name for name in found if is_unit_key(name.rpartition("/")[2])]
+        if wanted is not None and wanted.strip("/") not in found:
+            _refuse_links(path, file, wanted.strip("/"))
         return Contents(found, file.close, texts, unread)
     except BaseException:
         file.close()
@@ -143,6 +154,24 @@ def datasets(path: Path, file: Any) -> Iterator[tuple[str, Any]]:
         yield name, file[name]
 
 
+def _refuse_links(path: Path, file: Any, name: str) -> None:
+    """Refuse a name that leads over a link, and say where it points."""
+    import h5py
+
+    parts = name.split("/")
+    for n in range(1, len(parts) + 1):
+        part = "/".join(parts[:n])
+        link = file.get(part, getlink=True)
+        if isinstance(link, h5py.SoftLink):
+            raise InputError(f"{path}: {part} is a link to {link.path}; name the array by that")
+        if isinstance(link, h5py.ExternalLink):
+            raise InputError(
+                f"{path}: {part} is a link into another file, {link.filename}, and is not followed"
+            )
+        if link is None:
+            return
+
+
 def stored_array(path: Path, dataset: Any) -> _Stored:
     """Values of a dataset that lie in this file, NaN where a chunk was never written."""
     _check_stored(path, dataset)
@@ -192,6 +221,12 @@ def _variable(path: Path, file: Any, name: str, item: Any, columns_first: bool) 
 def _check_stored(path: Path, dataset: Any) -> None:
     """Refuse a dataset whose values lie elsewhere, or are more than what is stored can hold."""
     where = f"{path}: {dataset.name}"
+    block = _PANDAS_BLOCK.fullmatch(dataset.name)
+    if block and f"{block[1]}{1 - min(int(block[2]), 1)}_values" in dataset.parent:
+        raise InputError(
+            f"{where} is one part of a pandas table whose columns are of several types; write a "
+            "table of floating-point numbers only, or the map alone"
+        )
     if dataset.external or dataset.is_virtual:
         raise InputError(f"{where} keeps its samples in other files; copy them into one")
     if dataset.chunks and nbytes(dataset.chunks, dataset.dtype) > MAX_BSCAN_BYTES:
@@ -207,7 +242,7 @@ class _Stored:
     random_access = True
 
     def __init__(self, path: Path, dataset: Any) -> None:
-        self._dataset = dataset
+        self._dataset, self._where = dataset, f"{path}: {dataset.name}"
         self.shape: tuple[int, ...] = dataset.shape
         pairs = is_complex_pair(dataset.dtype)
         self._parts = [n for n in ("real", "r", "imag", "i") if pairs and n in dataset.dtype.names]
@@ -216,7 +251,16 @@ class _Stored:
         self._written = _written_chunks(path, dataset)
 
     def __getitem__(self, key: Key) -> NDArray[Any]:
-        stored = self._dataset[key]
+        try:
+            stored = self._dataset[key]
+        except OSError as error:
+            if absent := _absent_filters(self._dataset):
+                raise InputError(
+                    f"{self._where} is compressed by a filter that is not installed: "
+                    f"{', '.join(absent)}. Where it is, write the file anew by "
+                    "h5repack -f GZIP=4 old.h5 new.h5"
+                ) from error
+            raise
         if self._parts:
             values = np.empty(stored.shape, np.complex128)
             values.real, values.imag = (stored[part] for part in self._parts)
@@ -231,6 +275,19 @@ class _Stored:
         ]
         values[~self._written[np.ix_(*chunk_of)]] = np.nan
         return values
+
+
+def _absent_filters(dataset: Any) -> list[str]:
+    """Filters of a dataset that the library lacks, by their registered number and name."""
+    import h5py
+
+    plist = dataset.id.get_create_plist()
+    filters = [plist.get_filter(number) for number in range(plist.get_nfilters())]
+    return [
+        f"{code} ({name.decode(errors='replace') or 'without a name'})"
+        for code, _, _, name in filters
+        if not h5py.h5z.filter_avail(code)
+    ]
 
 
 def _written_chunks(path: Path, dataset: Any) -> NDArray[np.bool_] | None:
@@ -312,8 +369,26 @@ def _dims(file: Any, item: Any) -> tuple[str, ...]:
                     f"scale {name!r}"
                 )
         names = [name or label for name, label in zip(names, labels, strict=False)]
-    names = names or labels or _tagged_dims(item)
+    names, listed = names or (labels if any(labels) else []), _listed_dims(item)
+    for one, other in zip(*map(axes_of_dimensions, (names, listed)), strict=False):
+        if one and other and one != other:
+            raise InputError(
+                f"{file.filename}: {item.name}: its axes are said to be ({', '.join(listed)}), but "
+                f"its dimensions are ({', '.join(names)})"
+            )
+    names = names or listed or _tagged_dims(item)
     return tuple(names) if len(names) == item.ndim and any(names) else ()
+
+
+def _listed_dims(item: Any) -> list[str]:
+    """Names of axes by an attribute of xarray, or of a NeXus group whose signal this is."""
+    names = _attribute(item, "_ARRAY_DIMENSIONS", ())
+    above = item.parent
+    if str(_plain(_attribute(above, "signal", ""))) == item.name.rpartition("/")[2]:
+        names = _attribute(above, "axes", names)
+    listed = [str(_plain(name)) for name in np.ravel(names)]
+    listed = re.split("[,:]", listed[0].strip("[]")) if len(listed) == 1 else listed
+    return ["" if name == "." else name for name in listed]
 
 
 def _tagged_dims(item: Any) -> list[str]:

@@ -7,36 +7,39 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from .axes import SYNONYMS, axes_of_dimensions
 from .contents import Contents, Variable
 from .units import MM, is_unit_key, split_unit, stated_unit
 
 _ALL = (slice(None),) * 32
 #: Most values of a map or a coordinate.
 MAX_VALUES = 2**24
-#: What else axes of a map are called.
-_SYNONYMS = {"column": "x", "columns": "x", "col": "x", "cols": "x", "row": "y", "rows": "y"}
-_SYNONYMS |= {"lon": "x", "longitude": "x", "easting": "x"}
-_SYNONYMS |= {"lat": "y", "latitude": "y", "northing": "y"}
-#: Names of dimensions only: a variable of this name may hold anything.
-_DIMENSIONS = {"width": "x", "height": "y"}
 _POSITION = re.compile(r"([xyz])(?:s|_?(?:pos|position|coord|coordinate|axis)s?)")
-_NUMBERED = re.compile(r"([xyz])_?[0-9]")
+#: Unit of coordinates that are numbers of pixels.
+PIXEL = "pixel"
+_COUNTS = {"", "1", "-", "px", "pix", PIXEL, "pixels", "index", "sample", "samples"}
+_COUNTED = re.compile(r".*[_\s.(\[-](px|pix|pixels?|idx|index)[)\]]?", re.IGNORECASE)
 _STANDARD = {"projection_x_coordinate": "x", "projection_y_coordinate": "y"}
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """Positions along an axis, as stored: ``(n,)``, or those of every pixel, and their unit."""
+    """Positions along an axis, as stored: ``(n,)``, or those of every pixel, and their unit.
+
+    ``counted`` marks numbers of pixels, by their unit or as whole numbers without one.
+    """
 
     name: str
     values: NDArray[np.float64]
     dims: tuple[str, ...]
     unit: str | None
+    counted: bool = False
 
 
 @dataclass(frozen=True)
@@ -62,13 +65,7 @@ def axis_of(name: str, variable: Variable | None = None) -> str:
     stem = split_unit(name.rpartition("/")[2])[0].lower()
     if position := _POSITION.fullmatch(stem):
         return position[1]
-    return _SYNONYMS.get(stem, stem)
-
-
-def _axis_of_dimension(name: str) -> str:
-    axis = axis_of(name)
-    numbered = _NUMBERED.fullmatch(axis)
-    return numbered[1] if numbered else _DIMENSIONS.get(axis, axis)
+    return SYNONYMS.get(stem, stem)
 
 
 def values_of(path: Path, name: str, variable: Variable) -> NDArray:
@@ -91,13 +88,14 @@ def coordinate(path: Path, contents: Contents, name: str, axis: str) -> Coordina
     """
     group = name.rpartition("/")[0]
     dims = contents.variables[name].dims
+    by_dimension = dict(zip(dims, axes_of_dimensions(dims), strict=True))
     while True:
         names = [
             other
             for other, variable in contents.variables.items()
             if other != name
             and other.rpartition("/")[0] == group
-            and axis_of(other, variable) == axis
+            and axis in (axis_of(other, variable), by_dimension.get(other.rpartition("/")[2]))
         ]
         if names or not (group and dims):
             break
@@ -120,16 +118,36 @@ def coordinate(path: Path, contents: Contents, name: str, axis: str) -> Coordina
         )
     if squeezed.ndim == 2 and variable.dims and variable.dims == dims[::-1] != dims:
         squeezed = squeezed.T  # as the array is stored
-    return Coordinate(own[0], squeezed, variable.dims, stated_unit(own[0], variable.attrs, where))
+    unit = unit_of_positions(own[0], variable.attrs, where)
+    counted = unit == PIXEL or (unit is None and variable.dtype.kind in "iu")
+    unit = None if counted else unit
+    return Coordinate(own[0], squeezed, variable.dims, unit, counted)
 
 
-def counts_pixels(positions: NDArray[np.float64]) -> bool:
-    """Tell whether positions are 0, 1, 2, ... or 1, 2, 3, ...: without a unit they are no mm."""
-    return (
-        positions.size > 2
-        and positions[0] in (0.0, 1.0)
-        and np.array_equal(positions, positions[0] + np.arange(positions.size))
-    )
+def unit_of_positions(name: str, attrs: Mapping[str, object], where: str) -> str | None:
+    """Return the unit of coordinates, ``PIXEL`` where they are said to be numbers of pixels.
+
+    Raises
+    ------
+    InputError
+        As :func:`stated_unit`.
+    """
+    units = [str(value).strip().lower() for key, value in attrs.items() if is_unit_key(key)]
+    if (units and _COUNTS.issuperset(units)) or _COUNTED.fullmatch(name):
+        return PIXEL
+    return stated_unit(name, attrs, where)
+
+
+def counts_pixels(positions: NDArray) -> bool:
+    """Tell whether positions are whole numbers or a whole number apart: without a unit no mm.
+
+    Numbers of the pixels of a part of a map begin anywhere, those of averages over blocks lie in
+    between.
+    """
+    if positions.dtype.kind in "iu":
+        return True
+    steps = np.diff(positions)
+    return steps.size > 1 and steps[0] % 1.0 == 0.0 != steps[0] and bool((steps == steps[0]).all())
 
 
 def attributes_of(path: Path, contents: Contents, name: str) -> Mapping[str, object]:
@@ -140,7 +158,7 @@ def attributes_of(path: Path, contents: Contents, name: str) -> Mapping[str, obj
     InputError
         If the unit may stand in something that cannot be read.
     """
-    attrs = contents.variables[name].attrs
+    attrs = _with_unit(contents.variables[name].attrs, f"{path}, variable {name}")
     if any(is_unit_key(key) for key in attrs):
         return attrs
     for other in contents.unread:
@@ -151,6 +169,22 @@ def attributes_of(path: Path, contents: Contents, name: str) -> Mapping[str, obj
                 "out"
             )
     return {**attrs, **contents.unit_texts(name)}
+
+
+def _with_unit(attrs: Mapping[str, object], where: str) -> Mapping[str, object]:
+    """Attributes with the unit that others than ``unit`` state: openPMD's factor, or a symbol."""
+    said = {
+        f"{kind}_unit": attrs[key]
+        for key, kind in (("unit_symbol", "value"), ("unit_name", "data"))
+        if key in attrs
+    }
+    factor: Any = attrs.get("unitSI")
+    if factor is not None:
+        units = [unit for unit, mm in MM.items() if np.all(np.isclose(factor, mm / 1e3, atol=0))]
+        if not units:
+            raise InputError(f"{where}: its unitSI is {factor}, no unit of length in m")
+        said["length_unit"] = units[0]
+    return {**attrs, **said}
 
 
 def labelled(
@@ -199,8 +233,9 @@ def labelled(
                 + f"), but its shape is {given.values.shape}. If it is something else, store the "
                 "map in a file of its own"
             )
-        if given.unit is None and counts_pixels(vector):
+        if given.counted or (given.unit is None and counts_pixels(vector)):
             positions[axis] = None
+            values = np.flip(values, number) if vector[0] > vector[-1] else values
             continue
         unit = given.unit or _common_unit(contents, given, f"{path}, variable {given.name}")
         positions[axis] = vector * MM[unit]
@@ -228,20 +263,24 @@ def _order(
     stated = variable.stated.axes
     if stated is not None and sorted(stated.lower()) == sorted(axes):
         names = list(stated.lower())
-    for number, dim in enumerate(variable.dims):
-        label = _axis_of_dimension(dim)
-        if label in axes and names[number] not in (None, label):
+    elif stated is not None and variable.stated.described:
+        raise InputError(
+            f"{where}: its axes are said to be {stated!r}, no order of {' and '.join(axes)} such "
+            f"as {axes!r}"
+        )
+    for number, label in enumerate(axes_of_dimensions(variable.dims)):
+        if label is None:
+            continue
+        if label not in axes:
+            raise InputError(
+                f"{where} has the dimensions ({', '.join(variable.dims)}), not ({', '.join(axes)})"
+            )
+        if names[number] not in (None, label):
             raise InputError(
                 f"{where}: its axes are said to be {stated}, but its dimensions are "
                 f"({', '.join(variable.dims)})"
             )
-        if label in ("x", "y", "z"):
-            if label not in axes:
-                raise InputError(
-                    f"{where} has the dimensions ({', '.join(variable.dims)}), not "
-                    f"({', '.join(axes)})"
-                )
-            names[number] = label
+        names[number] = label
     for axis, given in found.items():
         at = None
         if given is not None and len(given.dims) == 1 and given.values.ndim == 1:

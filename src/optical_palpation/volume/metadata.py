@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ..errors import InputError
+from .axes import axes_of_text
 
 Scale = Literal["linear", "dB"]
 Access = Literal["mapped", "streamed", "loaded"]
@@ -88,8 +89,9 @@ class VolumeMetadata:
 class Stated:
     """What a file says about its array. One entry per axis of the array, None where it is silent.
 
-    ``optical_depth`` marks formats whose depth is an optical path, so that the refractive index
-    must be known.
+    ``described`` marks what its author wrote into it: a format whose images are taken for B-scans
+    does not know that they are. ``optical_depth`` marks formats whose depth is an optical path, so
+    that the refractive index must be known.
     """
 
     axes: str | None = None
@@ -98,14 +100,15 @@ class Stated:
     scale: Scale | None = None
     refractive_index: float | None = None
     optical_depth: bool = False
+    described: bool = False
 
 
 def described(entries: Mapping[str, Any], where: str) -> Stated:
     """Read the entries by which array formats can describe their array.
 
-    ``axes`` (text), ``spacing_mm`` and ``origin_mm`` (one number per axis, in that order),
-    ``scale`` and ``refractive_index``. Used for HDF5 and Zarr attributes, variables of ``.npz``
-    and ``.mat`` files and sidecars of raw files.
+    ``axes`` (text, or a list of names), ``spacing_mm`` and ``origin_mm`` (one number per axis, in
+    that order), ``scale`` and ``refractive_index``. Used for HDF5 and Zarr attributes, variables of
+    ``.npz`` and ``.mat`` files and sidecars of raw files.
     """
     spacing, origin = (
         _numbers(entries.get(k), f"{where}: {k}") for k in ("spacing_mm", "origin_mm")
@@ -113,13 +116,17 @@ def described(entries: Mapping[str, Any], where: str) -> Stated:
     index = _numbers(entries.get("refractive_index"), f"{where}: refractive_index")
     if index is not None and len(index) != 1:
         raise InputError(f"{where}: refractive_index must be one number, not {len(index)}")
-    axes, scale = (_text(entries.get(k), f"{where}: {k}") for k in ("axes", "scale"))
+    names = np.atleast_1d(np.asarray(entries.get("axes", ())))
+    if names.size > 10:
+        raise InputError(f"{where}: axes {_otherwise('yx')}")
+    axes = [_text(name, f"{where}: axes", "yx") or "" for name in names.ravel()]
     return Stated(
-        axes=axes,
+        axes=axes_of_text(axes) if axes else None,
         spacing=spacing,
         origin=origin,
-        scale=_scale(scale, where),
+        scale=_scale(_text(entries.get("scale"), f"{where}: scale", "linear"), where),
         refractive_index=index[0] if index else None,
+        described=True,
     )
 
 
@@ -282,13 +289,21 @@ def _scale(value: object, where: str) -> Scale | None:
     raise InputError(f"{where}: scale {value!r} is neither 'linear' nor 'dB'")
 
 
-def _text(value: Any, where: str) -> str | None:
+def _otherwise(example: str) -> str:
+    return (
+        f"must be a short text such as {example!r}; give an array that means something else "
+        "another name, or leave it out"
+    )
+
+
+def _text(value: Any, where: str, example: str) -> str | None:
     """Text from a str, bytes, or the 0-d or 1-element arrays that file formats make of it."""
     if value is None:
         return None
     array = np.asarray(value)
+    otherwise = InputError(f"{where} {_otherwise(example)}")
     if array.size != 1 or array.dtype.itemsize > 400:
-        raise InputError(f"{where} must be one short text")
+        raise otherwise
     # NumPy makes strings, broken ones, of numbers that are no characters.
     if array.dtype.kind == "U":
         codes = np.frombuffer(array.tobytes(), array.dtype.str[0] + "u4")
@@ -298,7 +313,7 @@ def _text(value: Any, where: str) -> str | None:
     if isinstance(value, bytes):
         value = value.decode("utf-8", errors="replace")
     if not isinstance(value, str) or len(value) > 100:
-        raise InputError(f"{where} must be a short text")
+        raise otherwise
     return value
 
 

@@ -13,7 +13,7 @@ from numpy.lib import format as npy
 
 from ..errors import InputError
 from .archive import member_array, open_archive, open_member, read_small
-from .arrays import Array, FileArray
+from .arrays import Array, FileArray, nbytes
 from .contents import Contents, Variable
 from .metadata import DESCRIPTIONS, described
 from .units import is_unit_key
@@ -34,6 +34,12 @@ def contents(path: Path, wanted: str | None) -> Contents:
     if _is_npy(path):
         with path.open("rb") as stream:
             shape, order, dtype, offset = header(stream, str(path))
+        rest = path.stat().st_size - offset - nbytes(shape, dtype)
+        if rest > 0 and not dtype.hasobject:
+            raise InputError(
+                f"{path}: {rest} bytes follow its array; store several arrays as .npz, or each in "
+                "a file of its own"
+            )
         whole = partial(FileArray, path, dtype, shape, offset, order=order)
         return Contents({"": Variable(shape, dtype, whole)})
 

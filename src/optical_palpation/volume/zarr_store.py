@@ -76,7 +76,9 @@ def _fill_values(array: Any, attrs: dict[str, Any], where: str) -> list[float]:
         except (ValueError, struct.error):
             raise InputError(f"{where}: _FillValue is {coded!r}, no number") from None
         fills.append(fill)
-    if array.fill_value is not None and array.fill_value != 0:
+    # As in HDF5, one of 256 values may be data as well, unless xarray wrote it as what is missing.
+    chosen = np.dtype(array.dtype).itemsize > 1 or "_ARRAY_DIMENSIONS" in array.attrs
+    if array.fill_value is not None and array.fill_value != 0 and chosen:
         fills.append(float(array.fill_value))
     return [fill for fill in fills if math.isfinite(fill)]
 
@@ -122,6 +124,11 @@ def _opened(path: Path, array: Any, where: str) -> Array:
         )
     if array.nchunks_initialized == 0:
         raise InputError(f"{where} has no samples stored")
+    if array.fill_value is None and array.nchunks_initialized < array.nchunks:
+        raise InputError(
+            f"{where} lacks {array.nchunks - array.nchunks_initialized} of {array.nchunks} chunks, "
+            "and no fill value says what they hold: copy it whole, or give it the fill value NaN"
+        )
     _check_blosc(path / array.path, array, where)
     return view
 
