@@ -7,6 +7,7 @@ or what the refusal must say.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -1081,3 +1082,15 @@ for name, content, says in (
     ("pickle", b"\x80\x05" + bytes(99), "numpy.save"),
 ):
     add(f"not read: {name}", text(content), Refused(says))
+
+errors = ("#N/A", "#DIV/0!", "#NV", "#REF!", "#VALUE!", "#NAME?", "#NULL!", "#NUM!", "#WERT!")
+for error in errors:
+    for sign, separator in {"commas": ",", "tabs": "\t", "semicolons": ";", "spaces": " "}.items():
+        content = rows(separator).replace(f"{MAP[2, 0]:.17g}", error)
+        add(
+            f"text {error} begins a line, {sign}",
+            text(content),
+            Refused("line 3, column 1: " + re.escape(repr(error))),
+        )
+content = "".join(line.rsplit(" ", 1)[0] + " #N/A\n" for line in rows(" ").splitlines())
+add("text #N/A in the last column, spaces", text(content), Refused("column 5: '#N/A'"))

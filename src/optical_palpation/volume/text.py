@@ -47,8 +47,10 @@ _LATERAL = re.compile(
     re.IGNORECASE,
 )
 _AXIAL = re.compile(r"\b(?:z|thickness|depth|values?|data|map)\b", re.IGNORECASE)
-# A comment begins a line or follows a space: #N/A and 1.#QNAN are cells.
-_COMMENT = {marks: re.compile(rf"(?:^|(?<=\s))[{marks}]") for marks in ("#", "#%")}
+# A comment begins a line or follows a space: 1.#QNAN is a cell, and so are Excel's errors, in any
+# language: #N/A, #NV, #DIV/0!, #NAME?
+_ERROR = r"#(?:N/[A-Z]|NV|¡?[^\W_a-z][^\s,;a-z]*[!?])(?:[\s,;\"]|$)"
+_COMMENT = {marks: re.compile(rf"(?:^|(?<=\s))(?!{_ERROR})[{marks}]") for marks in ("#", "#%")}
 _SEPARATOR = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # Excel's first line
 
 
