@@ -1094,3 +1094,9 @@ for error in errors:
         )
 content = "".join(line.rsplit(" ", 1)[0] + " #N/A\n" for line in rows(" ").splitlines())
 add("text #N/A in the last column, spaces", text(content), Refused("column 5: '#N/A'"))
+
+marks = ("--", "-", "null", "NULL", "<NA>", "None", "*", "?", "missing", "1.#QNAN", "-nan(ind)")
+for mark in (*marks, "#N/A", "L1"):
+    first = ",".join(5 * [mark]) + "\n" + rows()
+    add(f"text first line of {mark}", text(first), Refused("is no number. If .* missing pixels"))
+add("text first line of marks", text(",".join(marks[:5]) + "\n" + rows()), Refused("no number"))

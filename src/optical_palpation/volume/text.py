@@ -30,6 +30,12 @@ MAX_VALUES = 2**24
 _FEW, _LONG = 4, 10
 _MAX_LINE = 2**18  # characters: a row of 8192 numbers with all their digits
 _MISSING = {"", "NA", "N/A", "NAN", "-NAN"}
+# What else than _MISSING stands for a missing pixel, and names no column: --, <NA>, 1.#QNAN
+_MARK = re.compile(
+    r"[\W_]*(?:|null|none|nil|na|nd|n[./]?[ad]\.?|missing|invalid|undefined|masked|1\.#\w+"
+    r"|nan\(\w+\))[\W_]*",
+    re.IGNORECASE,
+)
 _MAX_REMARKS = 10_000
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 # What Octave, and NumPy's users after its manual, write above each of several arrays.
@@ -100,6 +106,7 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
     header = None
     if all(_number(cell) is None or not cell for cell in first.cells) and any(first.cells):
         header = first
+        _refuse_marks(path, header)
         _refuse_points(path, header)
         first = next(lines, None)
         if first is None:
@@ -283,6 +290,21 @@ def read_columns(path: Path) -> Columns:
         names = [f"{name} {unit}".strip() for name, unit in zip(names, rows[0].cells, strict=True)]
         rows = rows[1:]
     return Columns(path, names, rows)
+
+
+def _refuse_marks(path: Path, header: Line) -> None:
+    """Refuse a first line without numbers that may be pixels, all of them missing."""
+    cells = list(filter(None, header.cells))
+    same = len(cells) > 1 and len(set(cells)) == 1 and not _unit_of(cells[0])
+    if same or all(map(_MARK.fullmatch, cells)):
+        raise InputError(
+            f"{path}, line {header.number}: {cells[0][:40]!r} is no number. If it stands for "
+            "missing pixels, write nan; if the line is a header, remove it"
+        )
+
+
+def _unit_of(cell: str) -> str | None:
+    return split_unit(cell)[1] or length_unit(cell)
 
 
 def _refuse_points(path: Path, header: Line) -> None:
