@@ -1100,3 +1100,32 @@ for mark in (*marks, "#N/A", "L1"):
     first = ",".join(5 * [mark]) + "\n" + rows()
     add(f"text first line of {mark}", text(first), Refused("is no number. If .* missing pixels"))
 add("text first line of marks", text(",".join(marks[:5]) + "\n" + rows()), Refused("no number"))
+
+for sign, separator in {"commas": ",", "tabs": "\t", "semicolons": ";"}.items():
+    for what, missing in {"first": [0], "second": [1], "third": [2], "last two": [2, 3]}.items():
+        table = MAP.copy()
+        table[missing] = np.nan
+        inside = missing[0] in (1, 2) and len(missing) == 1
+        answer = Read(table) if inside else Refused("line .: only separators. .* write nan")
+        for above in ("", separator.join("abcde") + "\n"):
+            name = f"text empty {what} row, {sign}{', header' if above else ''}"
+            add(name, text(above + rows(separator, values=table)), answer)
+    table[2:] = [[0.4, np.nan, np.nan, np.nan, 0.5], 5 * [np.nan]]
+    written = rows(separator, values=table).replace(
+        4 * separator + "\n", separator.join(5 * ["nan"])
+    )
+    add(f"text last row of nan, {sign}", text(written), Read(table))
+for what, at in {"first": 0, "second": 1, "last": 4}.items():
+    lines = rows(" ").splitlines()
+    lines.insert(at, 4 * " ")
+    says = Refused(f"line {at + 1}: only spaces. .* write nan")
+    add(f"text empty {what} row, spaces", text("\n".join(lines) + "\n"), says)
+add("text blank line of spaces", text(rows(" ") + "  \n"), Read(MAP))
+add("text blank line of tabs, commas", text(rows() + "\t\n"), Read(MAP))
+add("text comment after tabs", text("\t# so\n" + rows("\t") + "\t\t# so\n"), Read(MAP))
+add("text trailing lines of Excel", text(rows() + 2 * ",,,,\n"), Refused("line 6: only separators"))
+means = rows() + "\n" + rows(values=MAP.mean(0, keepdims=True))
+add("text line of means", text(means), Refused("parts of 4, 1 lines"))
+sparse = "".join(f"{r} {c} {MAP[r, c]}\n" for c in range(3) for r in range(4))
+sparse = "# name: L1\n# type: sparse matrix\n# nnz: 12\n" + sparse
+add("text of Octave, sparse", text(sparse), Refused("a sparse matrix of Octave"))

@@ -36,10 +36,12 @@ _MARK = re.compile(
     r"|nan\(\w+\))[\W_]*",
     re.IGNORECASE,
 )
+_EMPTY_ROW = "If this is a row of missing pixels, write nan into it; else remove the line"
 _MAX_REMARKS = 10_000
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 # What Octave, and NumPy's users after its manual, write above each of several arrays.
 _ONE_ARRAY = re.compile(r"\s*(?:name:|new slice)", re.IGNORECASE)
+_OTHER_MATRIX = re.compile(r"\s*type:\s*((?:sparse|diagonal|permutation|complex) .*matrix)\s*")
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9.]*,[0-9]+")
 # units: um, unit (z) = um; thickness in um, thickness [um]; # name: L1_um
 _UNIT = re.compile(r"(?<![a-z])units?(?![a-z])[^:=,;]{0,40}[:=]\s*([^\s,;]+)", re.IGNORECASE)
@@ -113,6 +115,7 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
             raise InputError(f"{path} holds a header line but no numbers")
     columns = len(first.cells)
     rows: list[NDArray[np.float64]] = []
+    edges = [first, first]
     unfinished = unbegun = True  # whether every line ends, or begins, with an empty cell
     blocks = [0]  # lines of each part between blank lines
     german = columns > 1 and columns % 2 == 0  # 0,5 for 0.5, between commas
@@ -126,6 +129,7 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
                 f"{path}, line {line.number}: {len(line.cells)} columns where the lines before "
                 f"have {columns}"
             )
+        edges[1] = line
         unfinished &= not line.cells[-1]
         unbegun &= not line.cells[0]
         rows.append(_row(path, line))
@@ -133,6 +137,9 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
             raise InputError(
                 f"{path}, line {line.number}: more than {MAX_VALUES} numbers, too many for a map"
             )
+    for line in edges:
+        if columns > 1 and not any(line.cells):
+            raise InputError(f"{path}, line {line.number}: only separators. {_EMPTY_ROW}")
     table = np.stack(rows)
     _refuse_several(path, remarks, blocks)
     if german:
@@ -157,6 +164,16 @@ def _refuse_several(path: Path, remarks: list[str], blocks: list[int]) -> None:
             f"{path}: holds {max(titles, len(blocks))} tables one below the other; save the map in "
             "a file of its own"
         )
+    if len(blocks) > 1 and max(blocks) > 1:
+        raise InputError(
+            f"{path}: blank lines divide the table into parts of {', '.join(map(str, blocks))} "
+            "lines. Remove what is no row of pixels, such as means, and the blank lines"
+        )
+    for remark in remarks:
+        if kind := _OTHER_MATRIX.fullmatch(remark):
+            raise InputError(
+                f"{path}: holds a {kind[1]} of Octave; save the map as a full matrix (full)"
+            )
 
 
 def _refuse_decimal_commas(path: Path, table: NDArray[np.float64]) -> None:
@@ -207,9 +224,17 @@ def split_lines(
     """
     delimiter: str | None = None
     first = True
-    for number, line, after_blank in _lines(path, comments, remarks):
+    after_blank = False
+    columns = 0
+    spaces: dict[int, int] = {}  # how many, in a line of nothing else: its number
+    for number, line in _lines(path, comments, remarks):
         if number == 1 and (stated := _SEPARATOR.fullmatch(line.strip())):
             delimiter, first = stated[1], False
+            continue
+        # Tabs alone are a row of empty cells where tabs separate them.
+        if not line.strip(" " if first or delimiter == "\t" else None):
+            after_blank = True
+            spaces.setdefault(len(line), number)
             continue
         if first:
             delimiter, first = next((mark for mark in "\t;," if mark in line), None), False
@@ -219,7 +244,11 @@ def split_lines(
             cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
         else:
             cells = line.split(delimiter)
+        columns = len(cells)
         yield Line(number, [cell.strip() for cell in cells], after_blank)
+        after_blank = False
+    if delimiter is None and columns > 1 and columns - 1 in spaces:
+        raise InputError(f"{path}, line {spaces[columns - 1]}: only spaces. {_EMPTY_ROW}")
 
 
 @dataclass(frozen=True)
@@ -270,6 +299,8 @@ def read_columns(path: Path) -> Columns:
         raise InputError(f"{path}: cannot be read as a table: it has no lines")
     rows: list[Line] = []
     for line in lines:
+        if not any(line.cells):
+            continue
         rows.append(line)
         if len(rows) * len(line.cells) > MAX_VALUES // 16:
             raise InputError(f"{path}: too long for a table of measurements")
@@ -447,13 +478,13 @@ def _row(path: Path, line: Line) -> NDArray[np.float64]:
     return np.array(values, dtype=np.float64)
 
 
-def _lines(path: Path, comments: str, remarks: list[str] | None) -> Iterator[tuple[int, str, bool]]:
-    """Lines that hold more than a comment, their numbers, and whether blank ones are above."""
+def _lines(path: Path, comments: str, remarks: list[str] | None) -> Iterator[tuple[int, str]]:
+    """Lines without their comments, and their numbers; none that holds only a comment."""
     try:
         with path.open("rb") as raw_file:
             wide = raw_file.read(2) in _UTF_16
         with path.open(encoding="utf-16" if wide else "utf-8-sig") as file:
-            number, after_blank = 0, False
+            number = 0
             while raw := file.readline(_MAX_LINE):
                 number += 1
                 if len(raw) == _MAX_LINE:
@@ -462,14 +493,11 @@ def _lines(path: Path, comments: str, remarks: list[str] | None) -> Iterator[tup
                         "of a table is"
                     )
                 line = raw.rstrip("\r\n")
-                blank = not line.strip()
                 line, *remark = _COMMENT[comments].split(line, maxsplit=1)
                 if remark and remarks is not None and len(remarks) < _MAX_REMARKS:
                     remarks += remark
-                if line.strip():
-                    yield number, line, after_blank
-                    after_blank = False
-                after_blank |= blank
+                if line.strip() or not remark:
+                    yield number, line
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     except UnicodeDecodeError as error:
