@@ -1129,3 +1129,61 @@ add("text line of means", text(means), Refused("parts of 4, 1 lines"))
 sparse = "".join(f"{r} {c} {MAP[r, c]}\n" for c in range(3) for r in range(4))
 sparse = "# name: L1\n# type: sparse matrix\n# nnz: 12\n" + sparse
 add("text of Octave, sparse", text(sparse), Refused("a sparse matrix of Octave"))
+
+for comment, answer in {
+    "centre wavelength in nm: 1300": MAP,
+    "wavelength [nm]: 1300": MAP,
+    "stage unit: nm": MAP,
+    "x, y in um; thickness in mm": MAP,
+    "lateral positions in um; axial values in mm": MAP,
+    "unit x: um, unit z: mm": MAP,
+    "indenter radius [um]: 500": MAP,
+    "thickness under an indenter of radius 500 um": MAP,
+    "pre-compression [um]: 50": MAP,
+    "axial resolution (um): 5": MAP,
+    "speed in um/s": MAP,
+    "Height: 300 um": MAP,
+    "x and y in mm, thickness in um": um,
+    "field of view [mm]: 2 x 1, thickness [um]": um,
+    "thickness at each pixel [um]": um,
+    "thickness / um": um,
+    "thickness, um": um,
+    "units are um": um,
+    "all lengths are in um": um,
+    "x_um y_um L1_um": um,
+    "um": um,
+    "Value units: m": 1e-3 * MAP,
+    "Werteinheiten: m": 1e-3 * MAP,
+}.items():
+    add(f"text comment {comment}", text(f"# {comment}\n" + rows(values=answer)), Read(MAP))
+for comment in (
+    "written in CM by Joe",
+    "resolution of the map in um",
+    "thickness [um]: 500",
+    "x unit: um",
+    "scale: 1e-3 mm per count",
+    "1 count = 0.5 um",
+):
+    unclear = text(f"# {comment}\n" + rows())
+    add(f"text comment {comment}", unclear, Refused("perhaps .* give length_unit"))
+    add(f"text comment {comment}, given", unclear, Read(MAP), length_unit="mm", **FIELD)
+for form, answer in {
+    "x={} um": MAP,
+    "{} um": MAP,
+    "x = {} [um]": MAP,
+    "x{}um": None,
+    "x_um_{}": None,
+    "col {} um": None,
+}.items():
+    content = ",".join(form.format(200 * n) for n in range(5)) + "\n" + rows()
+    answer = Refused("perhaps .* give length_unit") if answer is None else Read(MAP)
+    add(f"text header {form}", text(content), answer)
+    add(f"text header {form}, given", text(content), Read(MAP), length_unit="mm", **FIELD)
+for form in ("d/µm", "d / µm", "L1_um_{}", "L{}_um", "col{}_um", "column {} [um]", "um.{}", "[um]"):
+    content = ",".join(form.format(1 + n) for n in range(5)) + "\n" + rows(values=um)
+    add(f"text header {form}", text(content), Read(MAP))
+for fmt, write in ATTRIBUTES.items():
+    parts = named("L1", um, long_name="thickness/um")
+    add(f"{fmt} unit behind a solidus", stored(write, parts), Read(MAP))
+    parts = named("L1", MAP, long_name="thickness, coefficient 0.1/um, of um/mm")
+    add(f"{fmt} reciprocal unit", stored(write, parts), Read(MAP))

@@ -20,7 +20,8 @@ from ..errors import InputError
 from .arrays import LazyArray
 from .contents import Contents
 from .metadata import Stated
-from .units import length_unit, split_unit
+from .remarks import units_of_remarks
+from .units import length_unit, unit_in_words
 
 FORMAT = "text"
 
@@ -43,18 +44,10 @@ _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _ONE_ARRAY = re.compile(r"\s*(?:name:|new slice)", re.IGNORECASE)
 _OTHER_MATRIX = re.compile(r"\s*type:\s*((?:sparse|diagonal|permutation|complex) .*matrix)\s*")
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9.]*,[0-9]+")
-# units: um, unit (z) = um; thickness in um, thickness [um]; # name: L1_um
-_UNIT = re.compile(r"(?<![a-z])units?(?![a-z])[^:=,;]{0,40}[:=]\s*([^\s,;]+)", re.IGNORECASE)
-_IN_UNIT = re.compile(
-    r"(?:[(\[]\s*|\bin\s+)([munc]m|[µμ]m|microns?|(?:milli|micro|nano)met(?:er|re)s?)\b",
-    re.IGNORECASE,
-)
-_NAME = re.compile(r"\s*name:\s*(\S+)", re.IGNORECASE)
-_LATERAL = re.compile(
-    r"\b(?:[xy]|xy|lateral|pixels?|spacing|pitch|steps?|width|field|fov|positions?|coordinates?)\b",
-    re.IGNORECASE,
-)
-_AXIAL = re.compile(r"\b(?:z|thickness|depth|values?|data|map)\b", re.IGNORECASE)
+# x=0 um is a position; x200um and col 200 um may be one.
+_POSITION = re.compile(r"(?:.*[=:@]\s*)?[-+]?[0-9.]+(?:e[-+]?[0-9]+)?", re.IGNORECASE)
+_PERHAPS_POSITION = re.compile(r"(?:.*\s|[xyz]|pos\w*|col\w*|row|at)_?[-+]?[0-9.]+", re.IGNORECASE)
+_NUMBERED = re.compile(r"(.*[^\W\d_][)\]]?)[\s_.-]+[0-9.]+")  # L1_um_0
 # A comment begins a line or follows a space: 1.#QNAN is a cell, and so are Excel's errors, in any
 # language: #N/A, #NV, #DIV/0!, #NAME?
 _ERROR = r"#(?:N/[A-Z]|NV|¡?[^\W_a-z][^\s,;a-z]*[!?])(?:[\s,;\"]|$)"
@@ -78,13 +71,14 @@ def recognises(path: Path, head: bytes) -> bool:
 
 def contents(path: Path, wanted: str | None) -> Contents:
     """Read the table."""
-    table, unit = read_table(path)
-    return Contents.single(
-        LazyArray(table), Stated(), "loaded", texts={"units": unit} if unit else {}
-    )
+    table, unit, unclear = read_table(path)
+    texts = {"units": unit} if unit else {}
+    found = Contents.single(LazyArray(table), Stated(), "loaded", texts=texts)
+    found.unclear_unit = unclear
+    return found
 
 
-def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
+def read_table(path: Path) -> tuple[NDArray[np.float64], str | None, str | None]:
     """Read a table with one line per row of pixels, NaN where a cell is empty.
 
     Returns
@@ -93,6 +87,8 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
         The numbers.
     str or None
         The unit that a comment (``units: um``) or the names of the columns state.
+    str or None
+        If there is none, what makes it unclear: a unit that may be of something else.
 
     Raises
     ------
@@ -154,7 +150,7 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
     if unfinished and columns > 1 and header is not None and not named:
         table = table[:, :-1]  # no column of that name: the separator ends the line
         header = Line(header.number, header.cells[: columns - 1])
-    return _without_labels(path, header, table), _stated_unit(path, remarks, header)
+    return _without_labels(path, header, table), *_stated_unit(path, remarks, header)
 
 
 def _refuse_several(path: Path, remarks: list[str], blocks: list[int]) -> None:
@@ -185,32 +181,46 @@ def _refuse_decimal_commas(path: Path, table: NDArray[np.float64]) -> None:
         )
 
 
-def _stated_unit(path: Path, remarks: list[str], header: Line | None) -> str | None:
-    """Unit that comments or the names of the columns state; those of numbers are of positions."""
-    stated: set[str] = set()
-    unclear: set[str] = set()
-    for remark in remarks:
-        said = {match[1] for rule in (_UNIT, _IN_UNIT) if (match := rule.search(remark))}
-        if (named := _NAME.match(remark)) and (unit := split_unit(named[1])[1]):
-            said.add(unit)
-        lateral = _LATERAL.search(remark) and not _AXIAL.search(remark)
-        (unclear if lateral else stated).update(said)
-    for cell in header.cells if header else ():
-        name, unit = split_unit(cell)
-        unit = unit or length_unit(cell)
-        if unit and _number(name) is None:
+def _stated_unit(
+    path: Path, remarks: list[str], header: Line | None
+) -> tuple[str | None, str | None]:
+    """Unit that comments or the names of the columns state, and what is unclear if none does."""
+    stated, unclear = units_of_remarks(remarks)
+    names = [name for name in header.cells if len(name) < 100] if header else []
+    numbers = [float(found[0]) for name in names if (found := re.search(r"[0-9]+\.?[0-9]*", name))]
+    counted = len(numbers) == len(names) and _counts(np.array(numbers))  # col1_um, col2_um
+    for cell in names:
+        unit, sure = _unit_of(cell)
+        if unit and (sure or counted):
             stated.add(unit)
+        elif unit and length_unit(unit) != "mm":
+            unclear[unit] = cell
     if len({length_unit(unit) or unit for unit in stated}) > 1:
         raise InputError(
             f"{path}: states several units: {', '.join(sorted(stated))}; leave only that of the "
             "thickness"
         )
-    if unclear and not stated and {length_unit(unit) for unit in unclear} != {"mm"}:
-        raise InputError(
-            f"{path}: a comment states {', '.join(sorted(unclear))}, perhaps for the positions "
-            "only; add a comment '# units: mm', or um, for the thickness"
-        )
-    return next(iter(stated), None)
+    if stated or not unclear:
+        return next(iter(stated), None), None
+    unit, said = next(iter(unclear.items()))
+    return None, (
+        f"{path}: {said[:80]!r} states {unit}, perhaps for the positions only or for something "
+        "else; give length_unit, the unit of the thickness, or add a comment '# units: mm', or um"
+    )
+
+
+def _unit_of(name: str) -> tuple[str | None, bool]:
+    """Unit in the name of a column, None if of a position, and whether it surely is no such."""
+    numbered = _NUMBERED.fullmatch(name)
+    words = numbered[1] if numbered else name
+    quantity, unit = unit_in_words(words)
+    if _POSITION.fullmatch(quantity):
+        return None, True
+    if numbered:
+        perhaps = quantity.lower() in ("x", "y")
+    else:
+        perhaps = bool(_PERHAPS_POSITION.fullmatch(quantity)) and not name.endswith((")", "]"))
+    return unit or length_unit(words), not perhaps
 
 
 def split_lines(
@@ -326,16 +336,12 @@ def read_columns(path: Path) -> Columns:
 def _refuse_marks(path: Path, header: Line) -> None:
     """Refuse a first line without numbers that may be pixels, all of them missing."""
     cells = list(filter(None, header.cells))
-    same = len(cells) > 1 and len(set(cells)) == 1 and not _unit_of(cells[0])
+    same = len(cells) > 1 and len(set(cells)) == 1 and not _unit_of(cells[0])[0]
     if same or all(map(_MARK.fullmatch, cells)):
         raise InputError(
             f"{path}, line {header.number}: {cells[0][:40]!r} is no number. If it stands for "
             "missing pixels, write nan; if the line is a header, remove it"
         )
-
-
-def _unit_of(cell: str) -> str | None:
-    return split_unit(cell)[1] or length_unit(cell)
 
 
 def _refuse_points(path: Path, header: Line) -> None:
