@@ -1187,3 +1187,28 @@ for fmt, write in ATTRIBUTES.items():
     add(f"{fmt} unit behind a solidus", stored(write, parts), Read(MAP))
     parts = named("L1", MAP, long_name="thickness, coefficient 0.1/um, of um/mm")
     add(f"{fmt} reciprocal unit", stored(write, parts), Read(MAP))
+
+
+def below_a_header(index: list[float], label: str, factor: float = 1.0) -> Callable[[Path], Path]:
+    """Write as pandas does with a named index."""
+    lines = rows(values=factor * np.tile(MAP, (2, 1))[: len(index)]).splitlines()
+    head = f"{label},{names}\n"
+    return text(head + "".join(f"{y:g},{r}\n" for y, r in zip(index, lines, strict=True)))
+
+
+even = [100.0, 300, 500, 700, 900, 1100]
+for label in ("y_um", "y_mm", "y", "position [mm]", "row", "time"):
+    for what, index in {"even": even, "uneven": [100, 310, 500, 700, 900, 1100]}.items():
+        written = below_a_header([*map(float, index)], label)
+        add(f"text header, {what} {label}", written, Refused(f"{re.escape(label)}.*coordinates"))
+add("text header, even column", below_a_header(even, "L"), Refused("evenly spaced"))
+steady = below_a_header([100, 310, 500, 700, 900, 1100], "L")
+add("text header, steady column", steady, Refused("far beyond all others"))
+wedge = np.linspace(0.4, 0.5, 6)[:, None] * (1 + 0.1 * np.arange(4))
+add("text header, a wedge", text("a,b,c,d\n" + rows(values=wedge)), Read(wedge))
+add("text header of z", text("z1,z2,z3,z4,z5\n" + rows()), Read(MAP))
+add(
+    "text header, z in all columns",
+    text(",".join(5 * ["z_um"]) + "\n" + rows(values=um)),
+    Read(MAP),
+)

@@ -21,7 +21,7 @@ from .arrays import LazyArray
 from .contents import Contents
 from .metadata import Stated
 from .remarks import units_of_remarks
-from .units import length_unit, unit_in_words
+from .units import length_unit, split_unit, unit_in_words
 
 FORMAT = "text"
 
@@ -44,6 +44,12 @@ _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _ONE_ARRAY = re.compile(r"\s*(?:name:|new slice)", re.IGNORECASE)
 _OTHER_MATRIX = re.compile(r"\s*type:\s*((?:sparse|diagonal|permutation|complex) .*matrix)\s*")
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9.]*,[0-9]+")
+# What a first column of coordinates or numbers is called.
+_LABELS = re.compile(
+    r"[xyz]|[xyz]?[ _-]*(?:pos(?:ition)?|coord(?:inate)?|distance|index|idx)s?|rows?|lines?|scans?"
+    r"|b-?scans?|frames?|pixels?|points?|columns?|n[or]\.?|number|id|time|date",
+    re.IGNORECASE,
+)
 # x=0 um is a position; x200um and col 200 um may be one.
 _POSITION = re.compile(r"(?:.*[=:@]\s*)?[-+]?[0-9.]+(?:e[-+]?[0-9]+)?", re.IGNORECASE)
 _PERHAPS_POSITION = re.compile(r"(?:.*\s|[xyz]|pos\w*|col\w*|row|at)_?[-+]?[0-9.]+", re.IGNORECASE)
@@ -381,6 +387,14 @@ def _without_labels(
             raise InputError(
                 f"{path}: the first column, {header.cells[0]!r}, counts the lines; remove it"
             )
+        if columns > 1 and _names_labels(header):
+            raise InputError(
+                f"{path}: the first column is called {header.cells[0]!r}: its numbers may be "
+                "coordinates. Remove it, and give field of view or pixel spacing; or give it the "
+                "name of a thickness"
+            )
+        if rows > 2 and columns > 2:
+            _refuse_coordinates(path, "column", table.T)
         _refuse_points_or_profile(path, table)
         return table
     if rows > 2 and columns > 2:
@@ -401,28 +415,33 @@ def _without_labels(
             )
         if _counts(first_column):
             raise InputError(f"{path}: the first column counts the lines; remove it")
-        for what, edge, beside in (
-            ("line", first_row, table[1]),
-            ("column", first_column, table[:, 1]),
-        ):
-            if _evenly_spaced(edge) and not _evenly_spaced(beside):
-                raise InputError(
-                    f"{path}: the numbers of the first {what} are evenly spaced: they may be "
-                    f"coordinates. Remove them, or write a line of names above the map if they are "
-                    "thickness"
-                )
-        for what, edge in (("line", first_row[1:]), ("column", first_column[1:])):
-            inside = table[1:, 1:]
-            low, high = np.nanmin(inside, initial=np.inf), np.nanmax(inside, initial=0.0)
-            beyond = edge.max() > 2.0 * high or edge.min() < 0.5 * low
-            if edge.size > 3 and _steady(edge) and beyond:
-                raise InputError(
-                    f"{path}: the numbers of the first {what} rise or fall steadily, far beyond "
-                    "all others: they may be coordinates. Remove them, and give field of view or "
-                    "pixel spacing"
-                )
+        _refuse_coordinates(path, "line", table)
+        _refuse_coordinates(path, "column", table.T)
     _refuse_points_or_profile(path, table)
     return table
+
+
+def _names_labels(header: Line) -> bool:
+    """Tell whether the name of the first column, unlike those of the others, is of positions."""
+    stems = [split_unit(name)[0] for name in header.cells]
+    return bool(_LABELS.fullmatch(stems[0])) and stems[0] not in stems[1:]
+
+
+def _refuse_coordinates(path: Path, what: str, table: NDArray[np.float64]) -> None:
+    """Refuse a first line, or with the table turned a first column, that may be coordinates."""
+    if _evenly_spaced(table[0]) and not _evenly_spaced(table[1]):
+        raise InputError(
+            f"{path}: the numbers of the first {what} are evenly spaced: they may be coordinates. "
+            "Remove them, or save the map as .npy or .mat if they are thickness"
+        )
+    edge, inside = table[0, 1:], table[1:, 1:]
+    low, high = np.nanmin(inside, initial=np.inf), np.nanmax(inside, initial=0.0)
+    beyond = edge.max() > 2.0 * high or edge.min() < 0.5 * low
+    if edge.size > 3 and _steady(edge) and beyond:
+        raise InputError(
+            f"{path}: the numbers of the first {what} rise or fall steadily, far beyond all "
+            "others: they may be coordinates. Remove them, and give field of view or pixel spacing"
+        )
 
 
 def _counts(values: NDArray[np.float64]) -> bool:
