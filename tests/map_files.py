@@ -566,7 +566,7 @@ for name, content, answer in (
         Read(np.array([[0.4, np.nan, 0.42], [np.nan, 0.44, np.nan]])),
     ),
     ("decimal commas", rows(";").replace(".", ","), Refused("write decimal points")),
-    ("decimal commas and commas", rows().replace(".", ","), Refused("mark of missing pixels")),
+    ("decimal commas and commas", rows().replace(".", ","), Refused("decimal commas, between")),
     ("999 for missing", rows(values=np.where(HOLE, 999, MAP)), Refused("mark of missing")),
     ("-- for missing", rows().replace(f"{MAP[1, 1]:.17g}", "--"), Refused("'--' is no number")),
     ("short line", rows().replace(f",{MAP[2, 4]:.17g}", ""), Refused("line 3: 4 columns")),
@@ -1212,3 +1212,29 @@ add(
     text(",".join(5 * ["z_um"]) + "\n" + rows(values=um)),
     Read(MAP),
 )
+
+digits = np.random.default_rng(9)
+fine = np.floor(400 + 100 * digits.random((6, 6)))
+for width in (1, 2, 3):
+    decimals = fine + digits.integers(1, 10**width, fine.shape) / 10**width
+    for what, values in {
+        "um": [[f"{v:.{width}f}".replace(".", ",") for v in row] for row in decimals],
+        "mm": [[f"1,{v:.0f}" for v in row] for row in fine],
+    }.items():
+        content = "".join(",".join(row) + "\n" for row in values)
+        add(f"text {width} decimals, {what}", text(content), Refused("decimal commas"))
+for what, values in {
+    "at random": fine,
+    "two columns": fine[:, :2],
+    "apart, two columns": fine[:, :2] + [0, 200],
+    "a slope": fine + 100 * np.arange(6),
+    "one outlier": np.where(np.arange(36).reshape(6, 6) == 7, 790, fine),
+}.items():
+    options = {"length_unit": "um", **FIELD}
+    add(f"text whole um, {what}", text(rows(values=values)), Read(1e-3 * values), **options)
+for what, content in {
+    "spaces": rows(" ").replace(".", ","),
+    "spaces, aligned": rows("  ").replace(".", ","),
+    "tabs": rows("\t").replace(".", ","),
+}.items():
+    add(f"text decimal commas, {what}", text(content), Refused("decimal points"))

@@ -43,7 +43,7 @@ _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 # What Octave, and NumPy's users after its manual, write above each of several arrays.
 _ONE_ARRAY = re.compile(r"\s*(?:name:|new slice)", re.IGNORECASE)
 _OTHER_MATRIX = re.compile(r"\s*type:\s*((?:sparse|diagonal|permutation|complex) .*matrix)\s*")
-_DECIMAL_COMMA = re.compile(r"[-+]?[0-9.]*,[0-9]+")
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9.]*,[0-9]+|[0-9]+\s+[-+]?[0-9]+")  # 0,5 0,6
 # What a first column of coordinates or numbers is called.
 _LABELS = re.compile(
     r"[xyz]|[xyz]?[ _-]*(?:pos(?:ition)?|coord(?:inate)?|distance|index|idx)s?|rows?|lines?|scans?"
@@ -121,11 +121,14 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None, str | None]
     unfinished = unbegun = True  # whether every line ends, or begins, with an empty cell
     blocks = [0]  # lines of each part between blank lines
     german = columns > 1 and columns % 2 == 0  # 0,5 for 0.5, between commas
+    padded = [False, False]  # whether a number of an even, or odd, column begins with a zero
     while first is not None:
         line, first = first, next(lines, None)
         blocks += [0] if line.after_blank and rows else []
         blocks[-1] += 1
         german = german and all(cell.isdecimal() for cell in line.cells)
+        for odd in (0, 1) if german else ():
+            padded[odd] |= any(cell[0] == "0" < cell[1:] for cell in line.cells[odd::2])
         if len(line.cells) != columns:
             raise InputError(
                 f"{path}, line {line.number}: {len(line.cells)} columns where the lines before "
@@ -145,7 +148,7 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None, str | None]
     table = np.stack(rows)
     _refuse_several(path, remarks, blocks)
     if german:
-        _refuse_decimal_commas(path, table)
+        _refuse_decimal_commas(path, table, padded == [False, True])
     if (unfinished or unbegun) and columns > 1 and header is None:
         end, column = ("ends", "last") if unfinished else ("begins", "first")
         raise InputError(
@@ -178,12 +181,21 @@ def _refuse_several(path: Path, remarks: list[str], blocks: list[int]) -> None:
             )
 
 
-def _refuse_decimal_commas(path: Path, table: NDArray[np.float64]) -> None:
-    """Refuse whole numbers of which every second column holds one digit, the others more."""
-    if table[:, 1::2].max() < 10 <= table[:, ::2].min():
+def _refuse_decimal_commas(path: Path, table: NDArray[np.float64], padded: bool) -> None:
+    """Refuse whole numbers of which every second column holds what may be decimals.
+
+    They have leading zeros, or single digits, or none of the values of the other columns, or take
+    up most of a range 0 to 9...9 and a third as much at most is taken up by the others.
+    """
+    whole, decimals = table[:, ::2], table[:, 1::2]
+    apart = decimals.max() < whole.min() or whole.max() < decimals.min()
+    spread, other = (np.ptp(np.quantile(part, (0.1, 0.9))) for part in (decimals, whole))
+    wide = spread > max(3.0 * other, 0.5 * 10 ** len(f"{decimals.max():.0f}"))
+    single = decimals.max() < 10 <= whole.min()
+    if padded or single or (table.shape[1] > 2 and (apart or wide)):
         raise InputError(
-            f"{path}: every second column holds single digits: are these decimal commas, between "
-            "commas? Write decimal points"
+            f"{path}: every second column differs from those beside it, as decimals do: are these "
+            "decimal commas, between commas? Write decimal points"
         )
 
 
