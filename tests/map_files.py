@@ -1137,6 +1137,8 @@ for comment, answer in {
     "x, y in um; thickness in mm": MAP,
     "lateral positions in um; axial values in mm": MAP,
     "unit x: um, unit z: mm": MAP,
+    "units: x um, z mm": MAP,
+    "units: x=um, y=um, z=mm": MAP,
     "indenter radius [um]: 500": MAP,
     "thickness under an indenter of radius 500 um": MAP,
     "pre-compression [um]: 50": MAP,
@@ -1238,3 +1240,7 @@ for what, content in {
     "tabs": rows("\t").replace(".", ","),
 }.items():
     add(f"text decimal commas, {what}", text(content), Refused("decimal points"))
+quoted = "".join(",".join(f'"{v:.3f}"'.replace(".", ",") for v in row) + "\n" for row in MAP)
+add("text decimal commas in quotes", text(quoted), Refused("line 1: write decimal points"))
+half = rows(";", values=MAP[:1]).replace(".", ",") + rows(";", values=MAP[1:])
+add("text decimal commas in the first line", text(half), Refused("line 1: write decimal points"))

@@ -352,8 +352,10 @@ def read_columns(path: Path) -> Columns:
 
 
 def _refuse_marks(path: Path, header: Line) -> None:
-    """Refuse a first line without numbers that may be pixels, all of them missing."""
+    """Refuse a first line without numbers that may be pixels: missing, or with decimal commas."""
     cells = list(filter(None, header.cells))
+    if any(map(_DECIMAL_COMMA.fullmatch, cells)):
+        raise InputError(f"{path}, line {header.number}: write decimal points, no commas")
     same = len(cells) > 1 and len(set(cells)) == 1 and not _unit_of(cells[0])[0]
     if same or all(map(_MARK.fullmatch, cells)):
         raise InputError(
