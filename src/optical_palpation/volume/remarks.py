@@ -11,7 +11,8 @@ _LONGEST = 1000  # characters of a comment that are searched
 _NAME = re.compile(r"\s*name:\s*(\S+)", re.IGNORECASE)  # of Octave: # name: L1_um
 # Anything after "unit:", else a unit of length.
 _UNIT = re.compile(
-    r"(?:(?<![a-z])units?|\b\w*einheit(?:en)?)(?![a-z])[^:=,;]{0,40}[:=]\s*(?P<said>(?!(?:[xyz]|lateral|axial)\b)[^\s,;0-9=]+)(?![^\s,;])"
+    r"(?:(?<![a-z])units?|\b\w*einheit(?:en)?)(?![a-z])[^:=,;]{0,40}[:=]\s*"
+    r"(?P<said>(?!(?:[xyz]|lateral|axial)\b)[^\s,;0-9=]+)(?![^\s,;])"
     r"|(?<![\w-])(?P<length>[munc]m|[µμ]m|microns?|(?:milli|micro|nano|centi)met(?:er|re)s?"
     r"|(?<=[\[(])m(?=[\])])|(?<=\bin )m)(?![\w-])",
     re.IGNORECASE,
