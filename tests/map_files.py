@@ -7,6 +7,7 @@ or what the refusal must say.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -653,7 +654,7 @@ for name, content, answer in (
         Read(np.array([[0.4, np.nan, 0.42], [np.nan, 0.44, np.nan]])),
     ),
     ("decimal commas", rows(";").replace(".", ","), Refused("write decimal points")),
-    ("decimal commas and commas", rows().replace(".", ","), Refused("mark of missing pixels")),
+    ("decimal commas and commas", rows().replace(".", ","), Refused("decimal commas, between")),
     ("999 for missing", rows(values=np.where(HOLE, 999, MAP)), Refused("mark of missing")),
     ("-- for missing", rows().replace(f"{MAP[1, 1]:.17g}", "--"), Refused("'--' is no number")),
     ("short line", rows().replace(f",{MAP[2, 4]:.17g}", ""), Refused("line 3: 4 columns")),
@@ -1267,3 +1268,165 @@ for name, content, says in (
     ("pickle", b"\x80\x05" + bytes(99), "numpy.save"),
 ):
     add(f"not read: {name}", text(content), Refused(says))
+
+errors = ("#N/A", "#DIV/0!", "#NV", "#REF!", "#VALUE!", "#NAME?", "#NULL!", "#NUM!", "#WERT!")
+for error in errors:
+    for sign, separator in {"commas": ",", "tabs": "\t", "semicolons": ";", "spaces": " "}.items():
+        content = rows(separator).replace(f"{MAP[2, 0]:.17g}", error)
+        add(
+            f"text {error} begins a line, {sign}",
+            text(content),
+            Refused("line 3, column 1: " + re.escape(repr(error))),
+        )
+content = "".join(line.rsplit(" ", 1)[0] + " #N/A\n" for line in rows(" ").splitlines())
+add("text #N/A in the last column, spaces", text(content), Refused("column 5: '#N/A'"))
+
+marks = ("--", "-", "null", "NULL", "<NA>", "None", "*", "?", "missing", "1.#QNAN", "-nan(ind)")
+for mark in (*marks, "#N/A", "L1"):
+    first = ",".join(5 * [mark]) + "\n" + rows()
+    add(f"text first line of {mark}", text(first), Refused("is no number. If .* missing pixels"))
+add("text first line of marks", text(",".join(marks[:5]) + "\n" + rows()), Refused("no number"))
+
+for sign, separator in {"commas": ",", "tabs": "\t", "semicolons": ";"}.items():
+    for what, missing in {"first": [0], "second": [1], "third": [2], "last two": [2, 3]}.items():
+        table = MAP.copy()
+        table[missing] = np.nan
+        inside = missing[0] in (1, 2) and len(missing) == 1
+        answer = Read(table) if inside else Refused("line .: only separators. .* write nan")
+        for above in ("", separator.join("abcde") + "\n"):
+            name = f"text empty {what} row, {sign}{', header' if above else ''}"
+            add(name, text(above + rows(separator, values=table)), answer)
+    table[2:] = [[0.4, np.nan, np.nan, np.nan, 0.5], 5 * [np.nan]]
+    written = rows(separator, values=table).replace(
+        4 * separator + "\n", separator.join(5 * ["nan"])
+    )
+    add(f"text last row of nan, {sign}", text(written), Read(table))
+for what, at in {"first": 0, "second": 1, "last": 4}.items():
+    lines = rows(" ").splitlines()
+    lines.insert(at, 4 * " ")
+    says = Refused(f"line {at + 1}: only spaces. .* write nan")
+    add(f"text empty {what} row, spaces", text("\n".join(lines) + "\n"), says)
+add("text blank line of spaces", text(rows(" ") + "  \n"), Read(MAP))
+add("text blank line of tabs, commas", text(rows() + "\t\n"), Read(MAP))
+add("text comment after tabs", text("\t# so\n" + rows("\t") + "\t\t# so\n"), Read(MAP))
+add("text trailing lines of Excel", text(rows() + 2 * ",,,,\n"), Refused("line 6: only separators"))
+means = rows() + "\n" + rows(values=MAP.mean(0, keepdims=True))
+add("text line of means", text(means), Refused("parts of 4, 1 lines"))
+sparse = "".join(f"{r} {c} {MAP[r, c]}\n" for c in range(3) for r in range(4))
+sparse = "# name: L1\n# type: sparse matrix\n# nnz: 12\n" + sparse
+add("text of Octave, sparse", text(sparse), Refused("a sparse matrix of Octave"))
+
+for comment, answer in {
+    "centre wavelength in nm: 1300": MAP,
+    "wavelength [nm]: 1300": MAP,
+    "stage unit: nm": MAP,
+    "x, y in um; thickness in mm": MAP,
+    "lateral positions in um; axial values in mm": MAP,
+    "unit x: um, unit z: mm": MAP,
+    "units: x um, z mm": MAP,
+    "units: x=um, y=um, z=mm": MAP,
+    "indenter radius [um]: 500": MAP,
+    "thickness under an indenter of radius 500 um": MAP,
+    "pre-compression [um]: 50": MAP,
+    "axial resolution (um): 5": MAP,
+    "speed in um/s": MAP,
+    "Height: 300 um": MAP,
+    "x and y in mm, thickness in um": um,
+    "field of view [mm]: 2 x 1, thickness [um]": um,
+    "thickness at each pixel [um]": um,
+    "thickness / um": um,
+    "thickness, um": um,
+    "units are um": um,
+    "all lengths are in um": um,
+    "x_um y_um L1_um": um,
+    "um": um,
+    "Value units: m": 1e-3 * MAP,
+    "Werteinheiten: m": 1e-3 * MAP,
+}.items():
+    add(f"text comment {comment}", text(f"# {comment}\n" + rows(values=answer)), Read(MAP))
+for comment in (
+    "written in CM by Joe",
+    "resolution of the map in um",
+    "thickness [um]: 500",
+    "x unit: um",
+    "scale: 1e-3 mm per count",
+    "1 count = 0.5 um",
+):
+    unclear = text(f"# {comment}\n" + rows())
+    add(f"text comment {comment}", unclear, Refused("perhaps .* give length_unit"))
+    add(f"text comment {comment}, given", unclear, Read(MAP), length_unit="mm", **FIELD)
+for form, answer in {
+    "x={} um": MAP,
+    "{} um": MAP,
+    "x = {} [um]": MAP,
+    "x{}um": None,
+    "x_um_{}": None,
+    "col {} um": None,
+}.items():
+    content = ",".join(form.format(200 * n) for n in range(5)) + "\n" + rows()
+    answer = Refused("perhaps .* give length_unit") if answer is None else Read(MAP)
+    add(f"text header {form}", text(content), answer)
+    add(f"text header {form}, given", text(content), Read(MAP), length_unit="mm", **FIELD)
+for form in ("d/µm", "d / µm", "L1_um_{}", "L{}_um", "col{}_um", "column {} [um]", "um.{}", "[um]"):
+    content = ",".join(form.format(1 + n) for n in range(5)) + "\n" + rows(values=um)
+    add(f"text header {form}", text(content), Read(MAP))
+for fmt, write in ATTRIBUTES.items():
+    parts = named("L1", um, long_name="thickness/um")
+    add(f"{fmt} unit behind a solidus", stored(write, parts), Read(MAP))
+    parts = named("L1", MAP, long_name="thickness, coefficient 0.1/um, of um/mm")
+    add(f"{fmt} reciprocal unit", stored(write, parts), Read(MAP))
+
+
+def below_a_header(index: list[float], label: str, factor: float = 1.0) -> Callable[[Path], Path]:
+    """Write as pandas does with a named index."""
+    lines = rows(values=factor * np.tile(MAP, (2, 1))[: len(index)]).splitlines()
+    head = f"{label},{names}\n"
+    return text(head + "".join(f"{y:g},{r}\n" for y, r in zip(index, lines, strict=True)))
+
+
+even = [100.0, 300, 500, 700, 900, 1100]
+for label in ("y_um", "y_mm", "y", "position [mm]", "row", "time"):
+    for what, index in {"even": even, "uneven": [100, 310, 500, 700, 900, 1100]}.items():
+        written = below_a_header([*map(float, index)], label)
+        add(f"text header, {what} {label}", written, Refused(f"{re.escape(label)}.*coordinates"))
+add("text header, even column", below_a_header(even, "L"), Refused("evenly spaced"))
+steady = below_a_header([100, 310, 500, 700, 900, 1100], "L")
+add("text header, steady column", steady, Refused("far beyond all others"))
+wedge = np.linspace(0.4, 0.5, 6)[:, None] * (1 + 0.1 * np.arange(4))
+add("text header, a wedge", text("a,b,c,d\n" + rows(values=wedge)), Read(wedge))
+add("text header of z", text("z1,z2,z3,z4,z5\n" + rows()), Read(MAP))
+add(
+    "text header, z in all columns",
+    text(",".join(5 * ["z_um"]) + "\n" + rows(values=um)),
+    Read(MAP),
+)
+
+digits = np.random.default_rng(9)
+fine = np.floor(400 + 100 * digits.random((6, 6)))
+for width in (1, 2, 3):
+    decimals = fine + digits.integers(1, 10**width, fine.shape) / 10**width
+    for what, values in {
+        "um": [[f"{v:.{width}f}".replace(".", ",") for v in row] for row in decimals],
+        "mm": [[f"1,{v:.0f}" for v in row] for row in fine],
+    }.items():
+        content = "".join(",".join(row) + "\n" for row in values)
+        add(f"text {width} decimals, {what}", text(content), Refused("decimal commas"))
+for what, values in {
+    "at random": fine,
+    "two columns": fine[:, :2],
+    "apart, two columns": fine[:, :2] + [0, 200],
+    "a slope": fine + 100 * np.arange(6),
+    "one outlier": np.where(np.arange(36).reshape(6, 6) == 7, 790, fine),
+}.items():
+    options = {"length_unit": "um", **FIELD}
+    add(f"text whole um, {what}", text(rows(values=values)), Read(1e-3 * values), **options)
+for what, content in {
+    "spaces": rows(" ").replace(".", ","),
+    "spaces, aligned": rows("  ").replace(".", ","),
+    "tabs": rows("\t").replace(".", ","),
+}.items():
+    add(f"text decimal commas, {what}", text(content), Refused("decimal points"))
+quoted = "".join(",".join(f'"{v:.3f}"'.replace(".", ",") for v in row) + "\n" for row in MAP)
+add("text decimal commas in quotes", text(quoted), Refused("line 1: write decimal points"))
+half = rows(";", values=MAP[:1]).replace(".", ",") + rows(";", values=MAP[1:])
+add("text decimal commas in the first line", text(half), Refused("line 1: write decimal points"))

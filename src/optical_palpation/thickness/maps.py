@@ -166,7 +166,10 @@ def _read(
         where = f"{path}, variable {name}" if name else str(path)
         array = contents.variables[name]
         attrs = attributes_of(path, contents, name)
-        unit = stated_unit(name, attrs, where, length_unit) or "mm"
+        unit = stated_unit(name, attrs, where, length_unit)
+        if unit is None and contents.unclear_unit:
+            raise InputError(contents.unclear_unit)
+        unit = unit or "mm"
         check_kind(array.shape, array.dtype, where)
         found = labelled(path, contents, name)
         values = found.values.astype(np.float64)

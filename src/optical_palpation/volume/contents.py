@@ -77,12 +77,14 @@ class Contents:
 
     ``texts`` are those that state a unit, beside an array or of a group that holds it, the whole
     file among these; named like arrays. ``unread`` names what is neither numbers nor text.
+    ``unclear_unit`` says why the unit must be given, where the file has one of who knows what.
     """
 
     variables: Mapping[str, Variable]
     close: Callable[[], None] = lambda: None
     texts: Mapping[str, str] = field(default_factory=dict)
     unread: Collection[str] = ()
+    unclear_unit: str | None = None
 
     def unit_texts(self, name: str) -> dict[str, str]:
         """Texts that state the unit of an array: beside it, or of the nearest group."""

@@ -20,7 +20,8 @@ from ..errors import InputError
 from .arrays import LazyArray
 from .contents import Contents
 from .metadata import Stated
-from .units import length_unit, split_unit
+from .remarks import units_of_remarks
+from .units import length_unit, split_unit, unit_in_words
 
 FORMAT = "text"
 
@@ -30,25 +31,33 @@ MAX_VALUES = 2**24
 _FEW, _LONG = 4, 10
 _MAX_LINE = 2**18  # characters: a row of 8192 numbers with all their digits
 _MISSING = {"", "NA", "N/A", "NAN", "-NAN"}
+# What else than _MISSING stands for a missing pixel, and names no column: --, <NA>, 1.#QNAN
+_MARK = re.compile(
+    r"[\W_]*(?:|null|none|nil|na|nd|n[./]?[ad]\.?|missing|invalid|undefined|masked|1\.#\w+"
+    r"|nan\(\w+\))[\W_]*",
+    re.IGNORECASE,
+)
+_EMPTY_ROW = "If this is a row of missing pixels, write nan into it; else remove the line"
 _MAX_REMARKS = 10_000
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 # What Octave, and NumPy's users after its manual, write above each of several arrays.
 _ONE_ARRAY = re.compile(r"\s*(?:name:|new slice)", re.IGNORECASE)
-_DECIMAL_COMMA = re.compile(r"[-+]?[0-9.]*,[0-9]+")
-# units: um, unit (z) = um; thickness in um, thickness [um]; # name: L1_um
-_UNIT = re.compile(r"(?<![a-z])units?(?![a-z])[^:=,;]{0,40}[:=]\s*([^\s,;]+)", re.IGNORECASE)
-_IN_UNIT = re.compile(
-    r"(?:[(\[]\s*|\bin\s+)([munc]m|[µμ]m|microns?|(?:milli|micro|nano)met(?:er|re)s?)\b",
+_OTHER_MATRIX = re.compile(r"\s*type:\s*((?:sparse|diagonal|permutation|complex) .*matrix)\s*")
+_DECIMAL_COMMA = re.compile(r"[-+]?[0-9.]*,[0-9]+|[0-9]+\s+[-+]?[0-9]+")  # 0,5 0,6
+# What a first column of coordinates or numbers is called.
+_LABELS = re.compile(
+    r"[xyz]|[xyz]?[ _-]*(?:pos(?:ition)?|coord(?:inate)?|distance|index|idx)s?|rows?|lines?|scans?"
+    r"|b-?scans?|frames?|pixels?|points?|columns?|n[or]\.?|number|id|time|date",
     re.IGNORECASE,
 )
-_NAME = re.compile(r"\s*name:\s*(\S+)", re.IGNORECASE)
-_LATERAL = re.compile(
-    r"\b(?:[xy]|xy|lateral|pixels?|spacing|pitch|steps?|width|field|fov|positions?|coordinates?)\b",
-    re.IGNORECASE,
-)
-_AXIAL = re.compile(r"\b(?:z|thickness|depth|values?|data|map)\b", re.IGNORECASE)
-# A comment begins a line or follows a space: #N/A and 1.#QNAN are cells.
-_COMMENT = {marks: re.compile(rf"(?:^|(?<=\s))[{marks}]") for marks in ("#", "#%")}
+# x=0 um is a position; x200um and col 200 um may be one.
+_POSITION = re.compile(r"(?:.*[=:@]\s*)?[-+]?[0-9.]+(?:e[-+]?[0-9]+)?", re.IGNORECASE)
+_PERHAPS_POSITION = re.compile(r"(?:.*\s|[xyz]|pos\w*|col\w*|row|at)_?[-+]?[0-9.]+", re.IGNORECASE)
+_NUMBERED = re.compile(r"(.*[^\W\d_][)\]]?)[\s_.-]+[0-9.]+")  # L1_um_0
+# A comment begins a line or follows a space: 1.#QNAN is a cell, and so are Excel's errors, in any
+# language: #N/A, #NV, #DIV/0!, #NAME?
+_ERROR = r"#(?:N/[A-Z]|NV|¡?[^\W_a-z][^\s,;a-z]*[!?])(?:[\s,;\"]|$)"
+_COMMENT = {marks: re.compile(rf"(?:^|(?<=\s))(?!{_ERROR})[{marks}]") for marks in ("#", "#%")}
 _SEPARATOR = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # Excel's first line
 
 
@@ -68,13 +77,14 @@ def recognises(path: Path, head: bytes) -> bool:
 
 def contents(path: Path, wanted: str | None) -> Contents:
     """Read the table."""
-    table, unit = read_table(path)
-    return Contents.single(
-        LazyArray(table), Stated(), "loaded", texts={"units": unit} if unit else {}
-    )
+    table, unit, unclear = read_table(path)
+    texts = {"units": unit} if unit else {}
+    found = Contents.single(LazyArray(table), Stated(), "loaded", texts=texts)
+    found.unclear_unit = unclear
+    return found
 
 
-def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
+def read_table(path: Path) -> tuple[NDArray[np.float64], str | None, str | None]:
     """Read a table with one line per row of pixels, NaN where a cell is empty.
 
     Returns
@@ -83,6 +93,8 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
         The numbers.
     str or None
         The unit that a comment (``units: um``) or the names of the columns state.
+    str or None
+        If there is none, what makes it unclear: a unit that may be of something else.
 
     Raises
     ------
@@ -98,25 +110,31 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
     header = None
     if all(_number(cell) is None or not cell for cell in first.cells) and any(first.cells):
         header = first
+        _refuse_marks(path, header)
         _refuse_points(path, header)
         first = next(lines, None)
         if first is None:
             raise InputError(f"{path} holds a header line but no numbers")
     columns = len(first.cells)
     rows: list[NDArray[np.float64]] = []
+    edges = [first, first]
     unfinished = unbegun = True  # whether every line ends, or begins, with an empty cell
     blocks = [0]  # lines of each part between blank lines
     german = columns > 1 and columns % 2 == 0  # 0,5 for 0.5, between commas
+    padded = [False, False]  # whether a number of an even, or odd, column begins with a zero
     while first is not None:
         line, first = first, next(lines, None)
         blocks += [0] if line.after_blank and rows else []
         blocks[-1] += 1
         german = german and all(cell.isdecimal() for cell in line.cells)
+        for odd in (0, 1) if german else ():
+            padded[odd] |= any(cell[0] == "0" < cell[1:] for cell in line.cells[odd::2])
         if len(line.cells) != columns:
             raise InputError(
                 f"{path}, line {line.number}: {len(line.cells)} columns where the lines before "
                 f"have {columns}"
             )
+        edges[1] = line
         unfinished &= not line.cells[-1]
         unbegun &= not line.cells[0]
         rows.append(_row(path, line))
@@ -124,10 +142,13 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
             raise InputError(
                 f"{path}, line {line.number}: more than {MAX_VALUES} numbers, too many for a map"
             )
+    for line in edges:
+        if columns > 1 and not any(line.cells):
+            raise InputError(f"{path}, line {line.number}: only separators. {_EMPTY_ROW}")
     table = np.stack(rows)
     _refuse_several(path, remarks, blocks)
     if german:
-        _refuse_decimal_commas(path, table)
+        _refuse_decimal_commas(path, table, padded == [False, True])
     if (unfinished or unbegun) and columns > 1 and header is None:
         end, column = ("ends", "last") if unfinished else ("begins", "first")
         raise InputError(
@@ -138,7 +159,7 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None]:
     if unfinished and columns > 1 and header is not None and not named:
         table = table[:, :-1]  # no column of that name: the separator ends the line
         header = Line(header.number, header.cells[: columns - 1])
-    return _without_labels(path, header, table), _stated_unit(path, remarks, header)
+    return _without_labels(path, header, table), *_stated_unit(path, remarks, header)
 
 
 def _refuse_several(path: Path, remarks: list[str], blocks: list[int]) -> None:
@@ -148,43 +169,76 @@ def _refuse_several(path: Path, remarks: list[str], blocks: list[int]) -> None:
             f"{path}: holds {max(titles, len(blocks))} tables one below the other; save the map in "
             "a file of its own"
         )
-
-
-def _refuse_decimal_commas(path: Path, table: NDArray[np.float64]) -> None:
-    """Refuse whole numbers of which every second column holds one digit, the others more."""
-    if table[:, 1::2].max() < 10 <= table[:, ::2].min():
+    if len(blocks) > 1 and max(blocks) > 1:
         raise InputError(
-            f"{path}: every second column holds single digits: are these decimal commas, between "
-            "commas? Write decimal points"
+            f"{path}: blank lines divide the table into parts of {', '.join(map(str, blocks))} "
+            "lines. Remove what is no row of pixels, such as means, and the blank lines"
+        )
+    for remark in remarks:
+        if kind := _OTHER_MATRIX.fullmatch(remark):
+            raise InputError(
+                f"{path}: holds a {kind[1]} of Octave; save the map as a full matrix (full)"
+            )
+
+
+def _refuse_decimal_commas(path: Path, table: NDArray[np.float64], padded: bool) -> None:
+    """Refuse whole numbers of which every second column holds what may be decimals.
+
+    They have leading zeros, or single digits, or none of the values of the other columns, or take
+    up most of a range 0 to 9...9 and a third as much at most is taken up by the others.
+    """
+    whole, decimals = table[:, ::2], table[:, 1::2]
+    apart = decimals.max() < whole.min() or whole.max() < decimals.min()
+    spread, other = (np.ptp(np.quantile(part, (0.1, 0.9))) for part in (decimals, whole))
+    wide = spread > max(3.0 * other, 0.5 * 10 ** len(f"{decimals.max():.0f}"))
+    single = decimals.max() < 10 <= whole.min()
+    if padded or single or (table.shape[1] > 2 and (apart or wide)):
+        raise InputError(
+            f"{path}: every second column differs from those beside it, as decimals do: are these "
+            "decimal commas, between commas? Write decimal points"
         )
 
 
-def _stated_unit(path: Path, remarks: list[str], header: Line | None) -> str | None:
-    """Unit that comments or the names of the columns state; those of numbers are of positions."""
-    stated: set[str] = set()
-    unclear: set[str] = set()
-    for remark in remarks:
-        said = {match[1] for rule in (_UNIT, _IN_UNIT) if (match := rule.search(remark))}
-        if (named := _NAME.match(remark)) and (unit := split_unit(named[1])[1]):
-            said.add(unit)
-        lateral = _LATERAL.search(remark) and not _AXIAL.search(remark)
-        (unclear if lateral else stated).update(said)
-    for cell in header.cells if header else ():
-        name, unit = split_unit(cell)
-        unit = unit or length_unit(cell)
-        if unit and _number(name) is None:
+def _stated_unit(
+    path: Path, remarks: list[str], header: Line | None
+) -> tuple[str | None, str | None]:
+    """Unit that comments or the names of the columns state, and what is unclear if none does."""
+    stated, unclear = units_of_remarks(remarks)
+    names = [name for name in header.cells if len(name) < 100] if header else []
+    numbers = [float(found[0]) for name in names if (found := re.search(r"[0-9]+\.?[0-9]*", name))]
+    counted = len(numbers) == len(names) and _counts(np.array(numbers))  # col1_um, col2_um
+    for cell in names:
+        unit, sure = _unit_of(cell)
+        if unit and (sure or counted):
             stated.add(unit)
+        elif unit and length_unit(unit) != "mm":
+            unclear[unit] = cell
     if len({length_unit(unit) or unit for unit in stated}) > 1:
         raise InputError(
             f"{path}: states several units: {', '.join(sorted(stated))}; leave only that of the "
             "thickness"
         )
-    if unclear and not stated and {length_unit(unit) for unit in unclear} != {"mm"}:
-        raise InputError(
-            f"{path}: a comment states {', '.join(sorted(unclear))}, perhaps for the positions "
-            "only; add a comment '# units: mm', or um, for the thickness"
-        )
-    return next(iter(stated), None)
+    if stated or not unclear:
+        return next(iter(stated), None), None
+    unit, said = next(iter(unclear.items()))
+    return None, (
+        f"{path}: {said[:80]!r} states {unit}, perhaps for the positions only or for something "
+        "else; give length_unit, the unit of the thickness, or add a comment '# units: mm', or um"
+    )
+
+
+def _unit_of(name: str) -> tuple[str | None, bool]:
+    """Unit in the name of a column, None if of a position, and whether it surely is no such."""
+    numbered = _NUMBERED.fullmatch(name)
+    words = numbered[1] if numbered else name
+    quantity, unit = unit_in_words(words)
+    if _POSITION.fullmatch(quantity):
+        return None, True
+    if numbered:
+        perhaps = quantity.lower() in ("x", "y")
+    else:
+        perhaps = bool(_PERHAPS_POSITION.fullmatch(quantity)) and not name.endswith((")", "]"))
+    return unit or length_unit(words), not perhaps
 
 
 def split_lines(
@@ -198,9 +252,17 @@ def split_lines(
     """
     delimiter: str | None = None
     first = True
-    for number, line, after_blank in _lines(path, comments, remarks):
+    after_blank = False
+    columns = 0
+    spaces: dict[int, int] = {}  # how many, in a line of nothing else: its number
+    for number, line in _lines(path, comments, remarks):
         if number == 1 and (stated := _SEPARATOR.fullmatch(line.strip())):
             delimiter, first = stated[1], False
+            continue
+        # Tabs alone are a row of empty cells where tabs separate them.
+        if not line.strip(" " if first or delimiter == "\t" else None):
+            after_blank = True
+            spaces.setdefault(len(line), number)
             continue
         if first:
             delimiter, first = next((mark for mark in "\t;," if mark in line), None), False
@@ -210,7 +272,11 @@ def split_lines(
             cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
         else:
             cells = line.split(delimiter)
+        columns = len(cells)
         yield Line(number, [cell.strip() for cell in cells], after_blank)
+        after_blank = False
+    if delimiter is None and columns > 1 and columns - 1 in spaces:
+        raise InputError(f"{path}, line {spaces[columns - 1]}: only spaces. {_EMPTY_ROW}")
 
 
 @dataclass(frozen=True)
@@ -261,6 +327,8 @@ def read_columns(path: Path) -> Columns:
         raise InputError(f"{path}: cannot be read as a table: it has no lines")
     rows: list[Line] = []
     for line in lines:
+        if not any(line.cells):
+            continue
         rows.append(line)
         if len(rows) * len(line.cells) > MAX_VALUES // 16:
             raise InputError(f"{path}: too long for a table of measurements")
@@ -281,6 +349,19 @@ def read_columns(path: Path) -> Columns:
         names = [f"{name} {unit}".strip() for name, unit in zip(names, rows[0].cells, strict=True)]
         rows = rows[1:]
     return Columns(path, names, rows)
+
+
+def _refuse_marks(path: Path, header: Line) -> None:
+    """Refuse a first line without numbers that may be pixels: missing, or with decimal commas."""
+    cells = list(filter(None, header.cells))
+    if any(map(_DECIMAL_COMMA.fullmatch, cells)):
+        raise InputError(f"{path}, line {header.number}: write decimal points, no commas")
+    same = len(cells) > 1 and len(set(cells)) == 1 and not _unit_of(cells[0])[0]
+    if same or all(map(_MARK.fullmatch, cells)):
+        raise InputError(
+            f"{path}, line {header.number}: {cells[0][:40]!r} is no number. If it stands for "
+            "missing pixels, write nan; if the line is a header, remove it"
+        )
 
 
 def _refuse_points(path: Path, header: Line) -> None:
@@ -320,6 +401,14 @@ def _without_labels(
             raise InputError(
                 f"{path}: the first column, {header.cells[0]!r}, counts the lines; remove it"
             )
+        if columns > 1 and _names_labels(header):
+            raise InputError(
+                f"{path}: the first column is called {header.cells[0]!r}: its numbers may be "
+                "coordinates. Remove it, and give field of view or pixel spacing; or give it the "
+                "name of a thickness"
+            )
+        if rows > 2 and columns > 2:
+            _refuse_coordinates(path, "column", table.T)
         _refuse_points_or_profile(path, table)
         return table
     if rows > 2 and columns > 2:
@@ -340,28 +429,33 @@ def _without_labels(
             )
         if _counts(first_column):
             raise InputError(f"{path}: the first column counts the lines; remove it")
-        for what, edge, beside in (
-            ("line", first_row, table[1]),
-            ("column", first_column, table[:, 1]),
-        ):
-            if _evenly_spaced(edge) and not _evenly_spaced(beside):
-                raise InputError(
-                    f"{path}: the numbers of the first {what} are evenly spaced: they may be "
-                    f"coordinates. Remove them, or write a line of names above the map if they are "
-                    "thickness"
-                )
-        for what, edge in (("line", first_row[1:]), ("column", first_column[1:])):
-            inside = table[1:, 1:]
-            low, high = np.nanmin(inside, initial=np.inf), np.nanmax(inside, initial=0.0)
-            beyond = edge.max() > 2.0 * high or edge.min() < 0.5 * low
-            if edge.size > 3 and _steady(edge) and beyond:
-                raise InputError(
-                    f"{path}: the numbers of the first {what} rise or fall steadily, far beyond "
-                    "all others: they may be coordinates. Remove them, and give field of view or "
-                    "pixel spacing"
-                )
+        _refuse_coordinates(path, "line", table)
+        _refuse_coordinates(path, "column", table.T)
     _refuse_points_or_profile(path, table)
     return table
+
+
+def _names_labels(header: Line) -> bool:
+    """Tell whether the name of the first column, unlike those of the others, is of positions."""
+    stems = [split_unit(name)[0] for name in header.cells]
+    return bool(_LABELS.fullmatch(stems[0])) and stems[0] not in stems[1:]
+
+
+def _refuse_coordinates(path: Path, what: str, table: NDArray[np.float64]) -> None:
+    """Refuse a first line, or with the table turned a first column, that may be coordinates."""
+    if _evenly_spaced(table[0]) and not _evenly_spaced(table[1]):
+        raise InputError(
+            f"{path}: the numbers of the first {what} are evenly spaced: they may be coordinates. "
+            "Remove them, or save the map as .npy or .mat if they are thickness"
+        )
+    edge, inside = table[0, 1:], table[1:, 1:]
+    low, high = np.nanmin(inside, initial=np.inf), np.nanmax(inside, initial=0.0)
+    beyond = edge.max() > 2.0 * high or edge.min() < 0.5 * low
+    if edge.size > 3 and _steady(edge) and beyond:
+        raise InputError(
+            f"{path}: the numbers of the first {what} rise or fall steadily, far beyond all "
+            "others: they may be coordinates. Remove them, and give field of view or pixel spacing"
+        )
 
 
 def _counts(values: NDArray[np.float64]) -> bool:
@@ -423,13 +517,13 @@ def _row(path: Path, line: Line) -> NDArray[np.float64]:
     return np.array(values, dtype=np.float64)
 
 
-def _lines(path: Path, comments: str, remarks: list[str] | None) -> Iterator[tuple[int, str, bool]]:
-    """Lines that hold more than a comment, their numbers, and whether blank ones are above."""
+def _lines(path: Path, comments: str, remarks: list[str] | None) -> Iterator[tuple[int, str]]:
+    """Lines without their comments, and their numbers; none that holds only a comment."""
     try:
         with path.open("rb") as raw_file:
             wide = raw_file.read(2) in _UTF_16
         with path.open(encoding="utf-16" if wide else "utf-8-sig") as file:
-            number, after_blank = 0, False
+            number = 0
             while raw := file.readline(_MAX_LINE):
                 number += 1
                 if len(raw) == _MAX_LINE:
@@ -438,14 +532,11 @@ def _lines(path: Path, comments: str, remarks: list[str] | None) -> Iterator[tup
                         "of a table is"
                     )
                 line = raw.rstrip("\r\n")
-                blank = not line.strip()
                 line, *remark = _COMMENT[comments].split(line, maxsplit=1)
                 if remark and remarks is not None and len(remarks) < _MAX_REMARKS:
                     remarks += remark
-                if line.strip():
-                    yield number, line, after_blank
-                    after_blank = False
-                after_blank |= blank
+                if line.strip() or not remark:
+                    yield number, line
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     except UnicodeDecodeError as error:

@@ -57,6 +57,17 @@ def split_unit(name: str) -> tuple[str, str | None]:
     return (match["stem"], length_unit(match["unit"])) if match else (name.strip(), None)
 
 
+def unit_in_words(text: str) -> tuple[str, str | None]:
+    """``split_unit`` of words, which may have the unit behind a solidus: ``thickness / um``."""
+    words, solidus, last = text.rpartition("/")
+    words = words.rstrip()
+    unit = length_unit(last) if solidus else None
+    quantity = re.search(r"[^\W_]*[^\W\d_][^\W_]*[)\]]?$", words)  # neither 1/mm nor um/mm
+    if unit and quantity and not length_unit(quantity[0]):
+        return words, unit
+    return split_unit(text)
+
+
 def stated_unit(
     name: str, attrs: Mapping[str, object], where: str, given: str | None = None
 ) -> str | None:
@@ -76,7 +87,7 @@ def stated_unit(
     if suffix:
         stated["its name"] = suffix
     for key in _IN_WORDS:  # "thickness (um)", but not "under a travel of 2 mm"
-        words, unit = split_unit(str(attrs.get(key, "")))
+        words, unit = unit_in_words(str(attrs.get(key, "")))
         if unit and not words[-1:].isdigit():
             stated[f"its {key} attribute"] = unit
     texts = {f"its {key} attribute": str(attrs[key]) for key in attrs if is_unit_key(key)}
