@@ -988,7 +988,7 @@ add("nifti turned by its transform", nifti_turned, Refused("swaps x and y"))
 add("nifti of two pixel sizes", nifti_of_two_sizes, Refused("header says voxels of"))
 
 
-def dicom_of_floats(folder: Path) -> Path:
+def dicom_of_floats(folder: Path, values: np.ndarray = MAP, **elements: float) -> Path:
     from pydicom.dataset import FileDataset, FileMetaDataset
 
     meta = FileMetaDataset()
@@ -999,7 +999,9 @@ def dicom_of_floats(folder: Path) -> Path:
     image.Rows, image.Columns = MAP.shape
     image.SamplesPerPixel, image.PhotometricInterpretation = 1, "MONOCHROME2"
     image.BitsAllocated, image.PixelSpacing = 32, [0.03, 0.02]
-    image.FloatPixelData = MAP.astype("<f4").tobytes()
+    image.FloatPixelData = values.astype("<f4").tobytes()
+    for element, value in elements.items():
+        setattr(image, element, value)
     image.save_as(folder / "map.dcm", enforce_file_format=True)
     return folder / "map.dcm"
 
@@ -1010,6 +1012,26 @@ add(
     Read(MAP, 0.02 * np.arange(5), 0.03 * np.arange(4)),
     variable=None,
 )
+
+
+def dicom_padded(folder: Path) -> Path:
+    padded = np.where(HOLE, 99.5, MAP)
+    return dicom_of_floats(folder, padded, FloatPixelPaddingValue=99.5)
+
+
+def dicom_padded_by_a_range(folder: Path) -> Path:
+    padded = np.where(HOLE, MAP - 9, MAP)
+    limits = {"FloatPixelPaddingValue": -9.0, "FloatPixelPaddingRangeLimit": -8.0}
+    return dicom_of_floats(folder, padded, **limits)
+
+
+def dicom_padded_by_nan(folder: Path) -> Path:
+    return dicom_of_floats(folder, HOLED, FloatPixelPaddingValue=np.nan)
+
+
+for write in (dicom_padded, dicom_padded_by_a_range, dicom_padded_by_nan):
+    answer = Read(HOLED, 0.02 * np.arange(5), 0.03 * np.arange(4))
+    add(write.__name__.replace("_", " "), write, answer, variable=None)
 
 
 def raw_turned(folder: Path) -> Path:

@@ -196,6 +196,52 @@ def test_dicom_frames_by_their_positions(tmp_path, at, says):
         right(path, **LINEAR)
 
 
+COUNTED = [1, 2, 3, 4, 5]
+STACKS = [[1, 1], [1, 2], [1, 3], [2, 1], [2, 2]]
+ROUNDED = [0, 1, 3, 4, 5]  # 0, 1.3, 2.6, 3.9, 5.2
+
+
+@pytest.mark.parametrize(
+    ("sequence", "name", "values", "says"),
+    [
+        ("FrameContent", "InStackPositionNumber", COUNTED, None),
+        ("FrameContent", "InStackPositionNumber", COUNTED[::-1], "not stored in the order"),
+        ("FrameContent", "InStackPositionNumber", [1, 2, 4, 5, 6], "not evenly"),
+        ("FrameContent", "InStackPositionNumber", [1, 2, 3, 4], "not stored in the order"),
+        ("FrameContent", "DimensionIndexValues", [[1, n] for n in COUNTED], None),
+        ("FrameContent", "DimensionIndexValues", [[1, n] for n in COUNTED[::-1]], "in the order"),
+        (
+            "FrameContent",
+            "DimensionIndexValues",
+            [[1, 1], [1, 2], [1, 3], [2, 1], [2, 2]],
+            "evenly",
+        ),
+        ("FrameContent", "DimensionIndexValues", [[1], [1], [1], [1], [1]], None),
+        ("OphthalmicFrameLocation", "ReferenceCoordinates", [[n, 0, n, 9] for n in ROUNDED], None),
+        (
+            "OphthalmicFrameLocation",
+            "ReferenceCoordinates",
+            [[10.0 * n, 0, 10.0 * n, 99] for n in (0, 2, 1, 3, 4)],
+            "by ReferenceCoordinates its 5 frames are not stored in the order",
+        ),
+    ],
+)
+def test_dicom_frames_by_their_numbers(tmp_path, sequence, name, values, says):
+    def change(image, dataset):
+        image.PerFrameFunctionalGroupsSequence = []
+        for value in values:
+            item, frame = dataset(), dataset()
+            setattr(item, name, value)
+            setattr(frame, f"{sequence}Sequence", [item])
+            image.PerFrameFunctionalGroupsSequence.append(frame)
+
+    path = dicom(tmp_path, change)
+    if says:
+        refused(path, says, **LINEAR)
+    else:
+        right(path, **LINEAR)
+
+
 def test_raw_samples_with_two_sidecars(tmp_path):
     path, _ = WRITERS["raw_json"](tmp_path, V)
     right(path)
