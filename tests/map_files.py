@@ -965,6 +965,61 @@ for what, meta, answer in (
     given = {"unit": "pixel", **meta}
     values = MAP.astype("f4")
     add(f"tiff {what} of ImageJ", tiff(values, imagej=True, metadata=given), answer)
+
+
+def gdal(*items: tuple[str, str]) -> dict[str, Any]:
+    """GDAL's metadata, by role, as a tag."""
+    text = "".join(
+        f'<Item name="{role.upper()}" sample="0" role="{role}">{text}</Item>'
+        for role, text in items
+    )
+    return {"extratags": [(42112, "s", 0, f"<GDALMetadata>{text}</GDALMetadata>")]}
+
+
+for what, options, answer in (
+    ("GDAL unit um", gdal(("unittype", "um")), Read(MAP)),
+    ("GDAL unit that is no length", gdal(("unittype", "kPa")), Refused("'kPa'")),
+    ("GDAL description", gdal(("description", "thickness (um)")), Read(MAP)),
+    ("GDAL scale 1", gdal(("scale", "1"), ("offset", "0"), ("unittype", "um")), Read(MAP)),
+    ("GDAL offset", gdal(("scale", "1"), ("offset", "5")), Refused("offset of 5")),
+    (
+        "GDAL units that contradict each other",
+        gdal(("unittype", "m"), ("description", "thickness (um)")),
+        Refused("contradicting units"),
+    ),
+    ("a description", {"description": "thickness in um"}, Read(MAP)),
+    ("a description of lines", {"description": "map 3\nunit: um\nfov: 3 mm"}, Read(MAP)),
+    ("a description of a pixel", {"description": "map\nunit = px"}, Refused("'px'")),
+    (
+        "a description of two units",
+        {"description": "thickness in um\npositions in mm"},
+        Refused("'um or mm'; known units"),
+    ),
+):
+    add(f"tiff {what}", tiff(1e3 * MAP, metadata=None, **options), answer)
+metres = tiff(MAP / 1e3, metadata=None, **gdal(("unittype", "metre")))
+add("tiff GDAL unit m", metres, Read(MAP))
+add("tiff unit by tifffile", tiff(1e3 * MAP, metadata={"unit": "um"}), Read(MAP))
+add("tiff long description", tiff(MAP, metadata=None, description="held by\na clamp"), Read(MAP))
+
+
+def tiff_of_pages(*pages: tuple[np.ndarray, dict[str, Any]]) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        with tifffile.TiffWriter(folder / "map.tif") as file:
+            for values, options in pages:
+                file.write(values, photometric="minisblack", metadata=None, **options)
+        return folder / "map.tif"
+
+    return make
+
+
+smaller = (LARGE[::2, ::2], {"subfiletype": 1})
+add("tiff overview", tiff_of_pages((LARGE, {}), smaller), Read(LARGE.astype(float)))
+add(
+    "tiff pages of two kinds",
+    tiff_of_pages((MAP, {}), (MAP, {"compression": "zlib"})),
+    Refused(r"a page of 4 x 5 float64 \(none\); a page of 4 x 5 float64 \(adobe_deflate\)"),
+)
 add("tiff axes by tifffile", tiff(SQUARE.T, metadata={"axes": "XY"}), Read(SQUARE))
 
 

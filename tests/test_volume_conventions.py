@@ -120,6 +120,60 @@ def test_ome_volumes_in_a_series_and_parts_of_one(tmp_path):
     refused(part, "the file holds 4 pages", **GIVEN)
 
 
+def ome(path, values, planes="", unit="mm"):
+    sizes = "".join(f' PhysicalSize{a.upper()}="{SPACING[a]}"' for a in SPACING)
+    sizes += "".join(f' PhysicalSize{a.upper()}Unit="{unit}"' for a in SPACING)
+    shape = "".join(f' Size{a}="{n}"' for a, n in zip("ZYX", values.shape, strict=True))
+    described = (
+        f'<OME><Image ID="Image:0"><Pixels ID="P" DimensionOrder="XYCZT" Type="float" SizeC="1" '
+        f'SizeT="1"{shape}{sizes}>{planes}</Pixels></Image></OME>'
+    )
+    tifffile.imwrite(
+        path, values, photometric="minisblack", description=described.encode(), metadata=None
+    )
+    return path
+
+
+def test_ome_planes_in_another_order(tmp_path):
+    planes = [f'<TiffData IFD="{n}" FirstZ="{n}"/>' for n in range(7)]
+    right(ome(tmp_path / "a.tif", V, "".join(planes)), **LINEAR)
+    right(ome(tmp_path / "a.tif", V, "<TiffData/>"), **LINEAR)
+    turned = [f'<TiffData IFD="{n}" FirstZ="{6 - n}" PlaneCount="1"/>' for n in range(7)]
+    refused(ome(tmp_path / "a.tif", V, "".join(turned)), "in another order", **LINEAR)
+    damaged = '<TiffData IFD="one" FirstZ="0"/>'
+    refused(ome(tmp_path / "a.tif", V, damaged), "no number", **LINEAR)
+
+
+def test_ome_pixels_without_a_size(tmp_path):
+    path = ome(tmp_path / "a.tif", V, unit="pixel")
+    refused(path, r"spacing \(mm along z, y, x\)", **LINEAR)
+    right(path, **GIVEN)
+
+
+def test_channels_of_imagej_that_are_slices(tmp_path):
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, PAGES, imagej=True)
+    refused(path, 'metadata={"axes": "ZYX"}', **GIVEN)
+
+
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize(
+    ("values", "axes"),
+    [(V[None], "TZYX"), (V[:, None], "ZCYX"), (PAGES[..., None], None), (V[None, :, None], None)],
+)
+def test_axes_of_length_one(tmp_path, values, axes, compression):
+    path = tmp_path / "a.tif"
+    options = {"photometric": "minisblack", "compression": compression}
+    tifffile.imwrite(path, values, metadata={"axes": axes} if axes else {}, **options)
+    right(path, V if axes else values.squeeze().transpose(1, 0, 2), **GIVEN)
+
+
+def test_volumetric_tiles(tmp_path):
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.ones((32, 32, 32), "f4"), tile=(16, 16, 16))
+    refused(path, "volumetric tiles", **GIVEN)
+
+
 @pytest.mark.parametrize(
     ("names", "says"),
     [
