@@ -7,6 +7,8 @@ or what the refusal must say.
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -1112,6 +1114,38 @@ def matlab_logical(folder: Path) -> Path:
     return folder / "map.mat"
 
 
+def element(kind: int, data: bytes) -> bytes:
+    """Make an element of MATLAB v5 files."""
+    if len(data) <= 4:
+        return struct.pack("<HH", kind, len(data)) + data.ljust(4, b"\0")
+    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def matlab_object(name: str, *, compressed: bool = False) -> Callable[[Path], Path]:
+    """A map, and a ``string`` as MATLAB saves it: with a name, but without dimensions."""
+    flags = [element(6, struct.pack("<II", kind, 0)) for kind in (17, 13, 9)]
+    inner = flags[1] + element(5, struct.pack("<2i", 6, 1)) + element(1, b"")
+    inner = element(14, inner + element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1)))
+    said = element(1, name.encode()) + element(1, b"MCOS") + element(1, b"string")
+    kept = element(5, struct.pack("<2i", 1, 64)) + element(1, b"") + element(2, bytes(64))
+    parts = [element(14, flags[0] + said + inner), element(14, flags[2] + kept)]
+    if compressed:
+        packed = [zlib.compress(part) for part in parts]
+        parts = [struct.pack("<II", 15, len(part)) + part for part in packed]
+
+    def make(folder: Path) -> Path:
+        scipy.io.savemat(folder / "map.mat", {"L1": MAP})
+        with (folder / "map.mat").open("ab") as file:
+            file.write(b"".join(parts))
+        return folder / "map.mat"
+
+    return make
+
+
+for name in ("note", "notes", "time", "unit", "units", "axes"):
+    says = Read(MAP) if name[0] in "nt" else Refused(f"{name} (may state|should describe)")
+    add(f"mat5 string {name}", matlab_object(name), says)
+    add(f"mat5 compressed string {name}", matlab_object(name, compressed=True), says)
 add("mat5 flags of any name", matlab_logical, Refused("does not say what it marks"))
 parts = {"L1": ((), MAP, {}), "confidence": ((), HOLE.astype("i4"), {})}
 add("npz zeros and ones of any name", stored(npz, parts), Refused("does not say what it marks"))

@@ -33,7 +33,7 @@ _STORED = {
     13: "u8",
 }
 _TEXT = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
-_CHAR_CLASS = 4
+_CHAR_CLASS, _OPAQUE_CLASS = 4, 17
 _CLASSES = {
     6: "f8",
     7: "f4",
@@ -100,7 +100,8 @@ def variables(path: Path) -> dict[str, Variable | None]:
             if kind in (_MATRIX, _COMPRESSED):
                 stream = _content(file, position, size, kind == _COMPRESSED, order, path)
                 name, variable = _header(stream, position, size, kind == _COMPRESSED, order, path)
-                found[name] = variable
+                if name:  # MATLAB keeps what belongs to its objects in one without
+                    found[name] = variable
             position += 8 + size
     raise InputError(f"{path}: holds more than {_MAX_VARIABLES} variables")
 
@@ -194,14 +195,15 @@ def _header(
     if flags_kind != 6 or flags_size != 8:
         return "", None
     flags, _ = _words(_exactly(stream, 8, str(path)), order, path)
-    dims = _element(stream, order, path)
+    kind = flags & 0xFF
+    # string, table and datetime have no dimensions
+    dims = b"" if kind == _OPAQUE_CLASS else _element(stream, order, path)
     name = _element(stream, order, path).rstrip(b"\0").decode("latin-1")
     if len(dims) % 4:
         raise InputError(f"{path}: the dimensions of {name} take {len(dims)} bytes: damaged")
     shape = tuple(int(n) for n in np.frombuffer(dims, order + "i4"))
     if any(n < 0 for n in shape):
         raise InputError(f"{path}: {name} has a negative dimension {shape}")
-    kind = flags & 0xFF
     if kind not in _CLASSES and kind != _CHAR_CLASS:
         return name, None
     is_complex = bool(flags >> 8 & _COMPLEX_FLAG)
