@@ -197,6 +197,32 @@ def test_names_of_images(tmp_path, names, says):
         right(tmp_path, V[:, :3], **GIVEN)
 
 
+def end_of_first_variable(content):
+    return 128 + 8 + int.from_bytes(content[132:136], "little") - 1
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "says"),
+    [
+        ("npz_stored", lambda content: len(content) // 2, "Bad CRC-32"),
+        ("thorlabs_slash", lambda content: len(content) // 2, "Bad CRC-32"),
+        ("mat5", end_of_first_variable, "damaged"),
+        ("nifti_gz", lambda content: len(content) - 8, "CRC check failed"),
+    ],
+)
+def test_a_bit_that_has_changed(tmp_path, name, place, says):
+    path, options = WRITERS[name](tmp_path, volume((71, 51, 61)))
+    content = bytearray(path.read_bytes())
+    content[place(content)] ^= 1
+    path.write_bytes(content)
+    refused(path, says, **options)
+
+
+def test_a_packed_nifti_file_by_any_name(tmp_path):
+    path, options = WRITERS["nifti_gz"](tmp_path, V)
+    right(path.rename(tmp_path / "9.nii"), **options)
+
+
 def test_a_nifti_file_of_two_voxel_sizes(tmp_path):
     path, options = WRITERS["nifti"](tmp_path, V)
     right(path, **options)

@@ -114,41 +114,52 @@ def load(path: Path, variable: Variable) -> FileArray | LazyArray | str:
             file, variable.position, variable.size, variable.compressed, variable.order, path
         )
         _header(stream, variable.position, variable.size, variable.compressed, variable.order, path)
-        count = int(np.prod([int(n) for n in variable.shape], dtype=object))
-        stored, size, small = _tag(stream, variable.order, path)
-        if variable.kind == _CHAR_CLASS:
-            if size > 10_000 or stored not in _TEXT:
-                raise InputError(f"{where}: text of an unsupported kind")
-            codec = _TEXT[stored] + (
-                {"<": "-le", ">": "-be"}[variable.order] if stored in (4, 17, 18) else ""
-            )
-            return (small or _exactly(stream, size, where)).decode(codec, errors="replace").strip()
-        target = np.dtype(variable.order + _CLASSES[variable.kind])
-        part = np.dtype(variable.order + _STORED.get(stored, "V1"))
-        if part.kind == "V" or size != count * part.itemsize:
-            raise InputError(
-                f"{where}: {size} bytes of stored type {stored} cannot be {variable.shape} samples "
-                f"of type {target}: damaged"
-            )
-        plain = not (variable.compressed or variable.is_complex or variable.is_logical)
-        if small is None and plain and part == target:
-            return FileArray(path, target, variable.shape, file.tell(), order="F")
+        found = _values(path, variable, file, stream)
+        if isinstance(stream, _Inflated):
+            stream.finish(where)
+        return found
 
-        check_ratio(size, variable.size, where)
-        if nbytes(variable.shape, target) * (1 + variable.is_complex) > MAX_LOADED_BYTES:
-            raise InputError(f"{where}: too large to load whole; save it with -v7.3")
-        real = _samples(stream, count, part, small, where).astype(target, copy=False)
-        if not variable.is_complex:
-            real = real.astype(bool) if variable.is_logical else real
-            return LazyArray(real.reshape(variable.shape, order="F"))
-        _exactly(stream, -size % 8 if small is None else 0, where)
-        stored, size, small = _tag(stream, variable.order, path)
-        part = np.dtype(variable.order + _STORED.get(stored, "V1"))
-        if part.kind == "V" or size != count * part.itemsize:
-            raise InputError(f"{where}: the imaginary part does not fit the real one")
-        values = np.empty(count, variable.dtype)
-        values.real, values.imag = real, _samples(stream, count, part, small, where)
-        return LazyArray(values.reshape(variable.shape, order="F"))
+
+def _values(
+    path: Path, variable: Variable, file: IO[bytes], stream: _Stream
+) -> FileArray | LazyArray | str:
+    """What follows the header of a variable."""
+    where = f"{path}: {variable.name}"
+    count = int(np.prod([int(n) for n in variable.shape], dtype=object))
+    stored, size, small = _tag(stream, variable.order, path)
+    if variable.kind == _CHAR_CLASS:
+        if size > 10_000 or stored not in _TEXT:
+            raise InputError(f"{where}: text of an unsupported kind")
+        codec = _TEXT[stored] + (
+            {"<": "-le", ">": "-be"}[variable.order] if stored in (4, 17, 18) else ""
+        )
+        return (small or _exactly(stream, size, where)).decode(codec, errors="replace").strip()
+    target = np.dtype(variable.order + _CLASSES[variable.kind])
+    part = np.dtype(variable.order + _STORED.get(stored, "V1"))
+    if part.kind == "V" or size != count * part.itemsize:
+        raise InputError(
+            f"{where}: {size} bytes of stored type {stored} cannot be {variable.shape} samples "
+            f"of type {target}: damaged"
+        )
+    plain = not (variable.compressed or variable.is_complex or variable.is_logical)
+    if small is None and plain and part == target:
+        return FileArray(path, target, variable.shape, file.tell(), order="F")
+
+    check_ratio(size, variable.size, where)
+    if nbytes(variable.shape, target) * (1 + variable.is_complex) > MAX_LOADED_BYTES:
+        raise InputError(f"{where}: too large to load whole; save it with -v7.3")
+    real = _samples(stream, count, part, small, where).astype(target, copy=False)
+    if not variable.is_complex:
+        real = real.astype(bool) if variable.is_logical else real
+        return LazyArray(real.reshape(variable.shape, order="F"))
+    _exactly(stream, -size % 8 if small is None else 0, where)
+    stored, size, small = _tag(stream, variable.order, path)
+    part = np.dtype(variable.order + _STORED.get(stored, "V1"))
+    if part.kind == "V" or size != count * part.itemsize:
+        raise InputError(f"{where}: the imaginary part does not fit the real one")
+    values = np.empty(count, variable.dtype)
+    values.real, values.imag = real, _samples(stream, count, part, small, where)
+    return LazyArray(values.reshape(variable.shape, order="F"))
 
 
 class _Inflated:
@@ -173,6 +184,12 @@ class _Inflated:
             parts.append(part)
             n -= len(part)
         return b"".join(parts)
+
+    def finish(self, where: str) -> None:
+        """Read the checksum, before which at most padding is left."""
+        self.read(8)
+        if not self._zlib.eof:
+            raise InputError(f"{where}: is not followed by the end of its stream: damaged")
 
 
 def _content(
