@@ -185,7 +185,21 @@ def test_volumetric_tiles(tmp_path):
         (["b1.png", "b2.gif", "b3.png"], "this format is not read"),
         (["b1.png", "b2.png", "b3.png"], None),
         (["a.png", "b.png", "c.png"], None),
-        (["2024-01-01_1.png", "2024-01-01_2.png", "2024-01-02_10.png"], None),
+        (["2024-01-01_1.png", "2024-01-01_2.png", "2024-01-02_3.png"], None),
+        (["2024-01-31_1.png", "2024-02-01_2.png", "2024-02-02_3.png"], None),
+        (["2024-01-01_1.png", "2024-01-01_2.png", "2024-01-02_10.png"], "clear order.*_10.png"),
+        (["01-02-2024_2.png", "02-02-2024_3.png", "31-01-2024_1.png"], "several numbers"),
+        (["b1_105959.png", "b2_110000.png", "b3_110007.png"], None),
+        (["b1_10-59-59.png", "b2_11-00-00.png", "b3_11-00-07.png"], None),
+        (["b1_101500.png", "b2_101501.png", "b4_101503.png"], "a B-scan is missing"),
+        (["a1_b8.png", "a1_b9.png", "a2_b8.png", "a2_b9.png"], None),
+        (["a1_b8.png", "a1_b9.png", "a2_b8.png"], "several numbers"),
+        (["a1_b2.png", "a2_b3.png", "a3_b1.png"], "several numbers"),
+        (["y_-1.png", "y_-2.png", "y_-3.png"], "a sign or a dash"),
+        (["scan-1.png", "scan-2.png", "scan-3.png"], None),
+        (["b01.png", "b1.png", "b2.png"], "followed by"),
+        (["one.png", "three.png", "two.png"], "do not give an order: one.png, three.png"),
+        (["a.png", "b.png", "d.png"], "do not give an order"),
     ],
 )
 def test_names_of_images(tmp_path, names, says):
@@ -194,7 +208,7 @@ def test_names_of_images(tmp_path, names, says):
     if says:
         refused(tmp_path, says, **GIVEN)
     else:
-        right(tmp_path, V[:, :3], **GIVEN)
+        right(tmp_path, V[:, : len(names)], **GIVEN)
 
 
 def end_of_first_variable(content):
