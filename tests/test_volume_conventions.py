@@ -211,6 +211,22 @@ def test_names_of_images(tmp_path, names, says):
         right(tmp_path, V[:, : len(names)], **GIVEN)
 
 
+@pytest.mark.parametrize(
+    ("mode", "ending", "says"),
+    [
+        ("1", "png", "one bit per pixel"),
+        ("1", "bmp", "one bit per pixel"),
+        ("P", "png", "a palette"),
+        ("LA", "png", "grey with transparency"),
+        ("RGB", "png", "colour image"),
+    ],
+)
+def test_images_that_are_not_grey(tmp_path, mode, ending, says):
+    path = tmp_path / f"a.{ending}"
+    Image.fromarray(PAGES[0].astype("u1")).convert(mode).save(path)
+    refused(path, f"{says}.*save it in grey", **GIVEN)
+
+
 def end_of_first_variable(content):
     return 128 + 8 + int.from_bytes(content[132:136], "little") - 1
 

@@ -29,6 +29,11 @@ _SIGN = re.compile(r"(?:^|[^0-9A-Za-z])[-+]$")
 _ORIENTATION = 274  # of EXIF
 _PILLOW_FORMATS = ("PNG", "BMP", "JPEG")
 _TYPES = {"L": np.uint8, "I;16": np.uint16, "I;16B": np.uint16, "I": np.int32, "F": np.float32}
+_NOT_GREY = {
+    "1": "has one bit per pixel, black or white",
+    "P": "has a palette of colours",
+    "LA": "is grey with transparency",
+}
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -170,7 +175,8 @@ def _header(file: Path) -> tuple[tuple[int, int], np.dtype[Any]]:
     else:
         with _open_image(file) as image:
             if image.mode not in _TYPES:
-                raise InputError(f"{file}: is a colour image ({image.mode}); save it in grey")
+                kind = _NOT_GREY.get(image.mode, f"is a colour image ({image.mode})")
+                raise InputError(f"{file}: {kind}; save it in grey, with 8 or 16 bits")
             if (orientation := image.getexif().get(_ORIENTATION, 1)) != 1:
                 raise InputError(
                     f"{file}: its orientation tag says {orientation}, that it lies on its side or "
