@@ -1105,6 +1105,18 @@ def raw_of_two_sidecars(folder: Path) -> Path:
     return raw_turned(folder)
 
 
+def text_with_notes(folder: Path) -> Path:
+    (folder / "map.csv.json").write_text('{"operator": "A", "unit": "mm", "notes": []}')
+    return text(rows())(folder).rename(folder / "map.csv")
+
+
+def raw_with_notes(folder: Path) -> Path:
+    (folder / "map.raw.toml").write_text("operator = 'A'\n")
+    return raw_turned(folder)
+
+
+add("text with notes of another program", text_with_notes, Read(MAP))
+add("raw with notes of another program", raw_with_notes, Read(SQUARE, *FRAME), variable=None)
 add("raw axes = xy", raw_turned, Read(SQUARE, *FRAME), variable=None)
 add("raw two sidecars", raw_of_two_sidecars, Refused("has two sidecars"))
 
