@@ -1001,6 +1001,7 @@ for what, options, answer in (
     add(f"tiff {what}", tiff(1e3 * MAP, metadata=None, **options), answer)
 metres = tiff(MAP / 1e3, metadata=None, **gdal(("unittype", "metre")))
 add("tiff GDAL unit m", metres, Read(MAP))
+add("tiff a description beside tifffile's", tiff(1e3 * MAP, description="unit: um"), Read(MAP))
 add("tiff unit by tifffile", tiff(1e3 * MAP, metadata={"unit": "um"}), Read(MAP))
 add("tiff long description", tiff(MAP, metadata=None, description="held by\na clamp"), Read(MAP))
 

@@ -236,11 +236,11 @@ def _contents(path: Path, file: Any) -> Contents:
         unit = str(metadata.get("vunit", "")).strip()
         if unit.lower() not in _NO_UNIT:
             attrs["units"] = unit
-    elif file.is_shaped:
-        attrs |= file.shaped_metadata[0]
-        stated = Stated(axes=_shaped(file.series[0], attrs) or stated.axes)
     else:
         attrs |= _attributes(description)
+        if described := file.shaped_metadata:
+            attrs |= described[0]
+            stated = Stated(axes=_shaped(file.series[0], described[0]) or stated.axes)
     attrs |= _gdal(path, page)
     array = _without_nodata(path, page, array)
     attrs = {key: value for key, value in attrs.items() if value}
