@@ -1042,6 +1042,9 @@ def nifti_of_two_sizes(folder: Path) -> Path:
     return path
 
 
+for compression in (None, "zlib"):
+    options = {"photometric": "minisblack", "compression": compression}
+    add(f"tiff last axis of one, {compression}", tiff(MAP[..., None], **options), Read(MAP))
 add("nifti turned by its transform", nifti_turned, Refused("swaps x and y"))
 add("nifti of two pixel sizes", nifti_of_two_sizes, Refused("header says voxels of"))
 

@@ -143,7 +143,7 @@ def page_array(path: Path, file: Any) -> Any:
             "where a mask marks values as missing"
         )
     page = series.keyframe
-    shape, dtype = _shape(series), series.dtype
+    shape, dtype = tuple(series.shape[axis] for axis in _axes(series)), series.dtype
     if dtype is None or page.dtype is None:
         raise InputError(f"{path}: samples of an unsupported type")
     if page.samplesperpixel != 1 or page.photometric not in (0, 1):
@@ -177,8 +177,10 @@ def page_array(path: Path, file: Any) -> Any:
     return squeezed(array, keep=2) if len(shape) == 2 else array
 
 
-def _shape(series: Any) -> tuple[int, ...]:
-    return tuple(series.shape[axis] for axis in squeezed_axes(series.shape))
+def _axes(series: Any) -> list[int]:
+    """Numbers of the axes without those of length one that nobody needs."""
+    one_page = len(series) == 1 and series.shape[0] != 1
+    return squeezed_axes(series.shape, keep=2 if one_page else 3)
 
 
 def _kind(series: Any) -> str:
@@ -284,7 +286,7 @@ def _gdal(path: Path, page: Any) -> dict[str, object]:
 
 def _shaped(series: Any, described: Mapping[str, object]) -> str | None:
     """Axes as tifffile's own description names them, where it does."""
-    axes = "".join(series.axes[axis] for axis in squeezed_axes(series.shape))
+    axes = "".join(series.axes[axis] for axis in _axes(series))
     known = sorted(axes) in (["X", "Y", "Z"], ["X", "Z"], ["X", "Y"])
     return axes.lower() if known and "axes" in described else None
 
