@@ -994,9 +994,10 @@ for what, options, answer in (
     ("a description of a pixel", {"description": "map\nunit = px"}, Refused("'px'")),
     (
         "a description of two units",
-        {"description": "thickness in um\npositions in mm"},
-        Refused("'um or mm'; known units"),
+        {"description": "thickness in um\nthickness in mm"},
+        Refused("um'; known units|mm'; known units"),
     ),
+    ("a description of positions", {"description": "thickness in um\npositions in mm"}, Read(MAP)),
 ):
     add(f"tiff {what}", tiff(1e3 * MAP, metadata=None, **options), answer)
 metres = tiff(MAP / 1e3, metadata=None, **gdal(("unittype", "metre")))

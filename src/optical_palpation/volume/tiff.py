@@ -43,6 +43,7 @@ _MAX_PAGES, _MAX_TAGS = 100_000, 4096
 _LZW, _ORIENTATION = 5, 274
 _UNCALIBRATED = 20  # ImageJ's number of the calibration function "none"
 _ENTRY = re.compile(r"\s*(?P<key>[^:=]+?)\s*[:=]\s*(?P<value>\S.*?)\s*")
+_LATERAL = re.compile(r"\b(?:[xy]|lateral|pixels?|spacing|pitch|field|fov|positions?)\b", re.I)
 _NO_CHANGE = {"scale": 1.0, "offset": 0.0}
 _NO_UNIT = ("", "gray value", "grey value", "pixel value")  # of ImageJ's samples
 # Vendors' multi-page conventions; some follow references to other files.
@@ -259,7 +260,7 @@ def _attributes(description: str) -> dict[str, object]:
             attrs[entry["key"].lower()] = entry["value"]
             continue
         words, unit = split_unit(line)
-        if unit and not words[-1:].isdigit():
+        if unit and not words[-1:].isdigit() and not _LATERAL.search(words):
             units.append(unit)
             attrs["description"] = line
     if len(set(units)) > 1:
