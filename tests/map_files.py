@@ -8,6 +8,8 @@ or what the refusal must say.
 from __future__ import annotations
 
 import re
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -1138,6 +1140,63 @@ for what, meta, answer in (
     given = {"unit": "pixel", **meta}
     values = MAP.astype("f4")
     add(f"tiff {what} of ImageJ", tiff(values, imagej=True, metadata=given), answer)
+
+
+def gdal(*items: tuple[str, str]) -> dict[str, Any]:
+    """GDAL's metadata, by role, as a tag."""
+    text = "".join(
+        f'<Item name="{role.upper()}" sample="0" role="{role}">{text}</Item>'
+        for role, text in items
+    )
+    return {"extratags": [(42112, "s", 0, f"<GDALMetadata>{text}</GDALMetadata>")]}
+
+
+for what, options, answer in (
+    ("GDAL unit um", gdal(("unittype", "um")), Read(MAP)),
+    ("GDAL unit that is no length", gdal(("unittype", "kPa")), Refused("'kPa'")),
+    ("GDAL description", gdal(("description", "thickness (um)")), Read(MAP)),
+    ("GDAL scale 1", gdal(("scale", "1"), ("offset", "0"), ("unittype", "um")), Read(MAP)),
+    ("GDAL offset", gdal(("scale", "1"), ("offset", "5")), Refused("offset of 5")),
+    (
+        "GDAL units that contradict each other",
+        gdal(("unittype", "m"), ("description", "thickness (um)")),
+        Refused("contradicting units"),
+    ),
+    ("a description", {"description": "thickness in um"}, Read(MAP)),
+    ("a description of lines", {"description": "map 3\nunit: um\nfov: 3 mm"}, Read(MAP)),
+    ("a description of a pixel", {"description": "map\nunit = px"}, Refused("'px'")),
+    (
+        "a description of two units",
+        {"description": "thickness in um\nthickness in mm"},
+        Refused("um'; known units|mm'; known units"),
+    ),
+    ("a description of positions", {"description": "thickness in um\npositions in mm"}, Read(MAP)),
+):
+    add(f"tiff {what}", tiff(1e3 * MAP, metadata=None, **options), answer)
+metres = tiff(MAP / 1e3, metadata=None, **gdal(("unittype", "metre")))
+add("tiff GDAL unit m", metres, Read(MAP))
+add("tiff a description beside tifffile's", tiff(1e3 * MAP, description="unit: um"), Read(MAP))
+add("tiff unit by tifffile", tiff(1e3 * MAP, metadata={"unit": "um"}), Read(MAP))
+add("tiff long description", tiff(MAP, metadata=None, description="held by\na clamp"), Read(MAP))
+
+
+def tiff_of_pages(*pages: tuple[np.ndarray, dict[str, Any]]) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        with tifffile.TiffWriter(folder / "map.tif") as file:
+            for values, options in pages:
+                file.write(values, photometric="minisblack", metadata=None, **options)
+        return folder / "map.tif"
+
+    return make
+
+
+smaller = (LARGE[::2, ::2], {"subfiletype": 1})
+add("tiff overview", tiff_of_pages((LARGE, {}), smaller), Read(LARGE.astype(float)))
+add(
+    "tiff pages of two kinds",
+    tiff_of_pages((MAP, {}), (MAP, {"compression": "zlib"})),
+    Refused(r"a page of 4 x 5 float64 \(none\); a page of 4 x 5 float64 \(adobe_deflate\)"),
+)
 add("tiff axes by tifffile", tiff(SQUARE.T, metadata={"axes": "XY"}), Read(SQUARE))
 
 
@@ -1157,11 +1216,14 @@ def nifti_of_two_sizes(folder: Path) -> Path:
     return path
 
 
+for compression in (None, "zlib"):
+    options = {"photometric": "minisblack", "compression": compression}
+    add(f"tiff last axis of one, {compression}", tiff(MAP[..., None], **options), Read(MAP))
 add("nifti turned by its transform", nifti_turned, Refused("swaps x and y"))
 add("nifti of two pixel sizes", nifti_of_two_sizes, Refused("header says voxels of"))
 
 
-def dicom_of_floats(folder: Path) -> Path:
+def dicom_of_floats(folder: Path, values: np.ndarray = MAP, **elements: float) -> Path:
     from pydicom.dataset import FileDataset, FileMetaDataset
 
     meta = FileMetaDataset()
@@ -1172,7 +1234,9 @@ def dicom_of_floats(folder: Path) -> Path:
     image.Rows, image.Columns = MAP.shape
     image.SamplesPerPixel, image.PhotometricInterpretation = 1, "MONOCHROME2"
     image.BitsAllocated, image.PixelSpacing = 32, [0.03, 0.02]
-    image.FloatPixelData = MAP.astype("<f4").tobytes()
+    image.FloatPixelData = values.astype("<f4").tobytes()
+    for element, value in elements.items():
+        setattr(image, element, value)
     image.save_as(folder / "map.dcm", enforce_file_format=True)
     return folder / "map.dcm"
 
@@ -1183,6 +1247,26 @@ add(
     Read(MAP, 0.02 * np.arange(5), 0.03 * np.arange(4)),
     variable=None,
 )
+
+
+def dicom_padded(folder: Path) -> Path:
+    padded = np.where(HOLE, 99.5, MAP)
+    return dicom_of_floats(folder, padded, FloatPixelPaddingValue=99.5)
+
+
+def dicom_padded_by_a_range(folder: Path) -> Path:
+    padded = np.where(HOLE, MAP - 9, MAP)
+    limits = {"FloatPixelPaddingValue": -9.0, "FloatPixelPaddingRangeLimit": -8.0}
+    return dicom_of_floats(folder, padded, **limits)
+
+
+def dicom_padded_by_nan(folder: Path) -> Path:
+    return dicom_of_floats(folder, HOLED, FloatPixelPaddingValue=np.nan)
+
+
+for write in (dicom_padded, dicom_padded_by_a_range, dicom_padded_by_nan):
+    answer = Read(HOLED, 0.02 * np.arange(5), 0.03 * np.arange(4))
+    add(write.__name__.replace("_", " "), write, answer, variable=None)
 
 
 def raw_turned(folder: Path) -> Path:
@@ -1199,6 +1283,18 @@ def raw_of_two_sidecars(folder: Path) -> Path:
     return raw_turned(folder)
 
 
+def text_with_notes(folder: Path) -> Path:
+    (folder / "map.csv.json").write_text('{"operator": "A", "unit": "mm", "notes": []}')
+    return text(rows())(folder).rename(folder / "map.csv")
+
+
+def raw_with_notes(folder: Path) -> Path:
+    (folder / "map.raw.toml").write_text("operator = 'A'\n")
+    return raw_turned(folder)
+
+
+add("text with notes of another program", text_with_notes, Read(MAP))
+add("raw with notes of another program", raw_with_notes, Read(SQUARE, *FRAME), variable=None)
 add("raw axes = xy", raw_turned, Read(SQUARE, *FRAME), variable=None)
 add("raw two sidecars", raw_of_two_sidecars, Refused("has two sidecars"))
 
@@ -1208,6 +1304,38 @@ def matlab_logical(folder: Path) -> Path:
     return folder / "map.mat"
 
 
+def element(kind: int, data: bytes) -> bytes:
+    """Make an element of MATLAB v5 files."""
+    if len(data) <= 4:
+        return struct.pack("<HH", kind, len(data)) + data.ljust(4, b"\0")
+    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def matlab_object(name: str, *, compressed: bool = False) -> Callable[[Path], Path]:
+    """A map, and a ``string`` as MATLAB saves it: with a name, but without dimensions."""
+    flags = [element(6, struct.pack("<II", kind, 0)) for kind in (17, 13, 9)]
+    inner = flags[1] + element(5, struct.pack("<2i", 6, 1)) + element(1, b"")
+    inner = element(14, inner + element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1)))
+    said = element(1, name.encode()) + element(1, b"MCOS") + element(1, b"string")
+    kept = element(5, struct.pack("<2i", 1, 64)) + element(1, b"") + element(2, bytes(64))
+    parts = [element(14, flags[0] + said + inner), element(14, flags[2] + kept)]
+    if compressed:
+        packed = [zlib.compress(part) for part in parts]
+        parts = [struct.pack("<II", 15, len(part)) + part for part in packed]
+
+    def make(folder: Path) -> Path:
+        scipy.io.savemat(folder / "map.mat", {"L1": MAP})
+        with (folder / "map.mat").open("ab") as file:
+            file.write(b"".join(parts))
+        return folder / "map.mat"
+
+    return make
+
+
+for name in ("note", "notes", "time", "unit", "units", "axes"):
+    says = Read(MAP) if name[0] in "nt" else Refused(f"{name} (may state|should describe)")
+    add(f"mat5 string {name}", matlab_object(name), says)
+    add(f"mat5 compressed string {name}", matlab_object(name, compressed=True), says)
 add("mat5 flags of any name", matlab_logical, Refused("does not say what it marks"))
 parts = {"L1": ((), MAP, {}), "confidence": ((), HOLE.astype("i4"), {})}
 add("npz zeros and ones of any name", stored(npz, parts), Refused("does not say what it marks"))

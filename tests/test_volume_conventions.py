@@ -120,6 +120,60 @@ def test_ome_volumes_in_a_series_and_parts_of_one(tmp_path):
     refused(part, "the file holds 4 pages", **GIVEN)
 
 
+def ome(path, values, planes="", unit="mm"):
+    sizes = "".join(f' PhysicalSize{a.upper()}="{SPACING[a]}"' for a in SPACING)
+    sizes += "".join(f' PhysicalSize{a.upper()}Unit="{unit}"' for a in SPACING)
+    shape = "".join(f' Size{a}="{n}"' for a, n in zip("ZYX", values.shape, strict=True))
+    described = (
+        f'<OME><Image ID="Image:0"><Pixels ID="P" DimensionOrder="XYCZT" Type="float" SizeC="1" '
+        f'SizeT="1"{shape}{sizes}>{planes}</Pixels></Image></OME>'
+    )
+    tifffile.imwrite(
+        path, values, photometric="minisblack", description=described.encode(), metadata=None
+    )
+    return path
+
+
+def test_ome_planes_in_another_order(tmp_path):
+    planes = [f'<TiffData IFD="{n}" FirstZ="{n}"/>' for n in range(7)]
+    right(ome(tmp_path / "a.tif", V, "".join(planes)), **LINEAR)
+    right(ome(tmp_path / "a.tif", V, "<TiffData/>"), **LINEAR)
+    turned = [f'<TiffData IFD="{n}" FirstZ="{6 - n}" PlaneCount="1"/>' for n in range(7)]
+    refused(ome(tmp_path / "a.tif", V, "".join(turned)), "in another order", **LINEAR)
+    damaged = '<TiffData IFD="one" FirstZ="0"/>'
+    refused(ome(tmp_path / "a.tif", V, damaged), "no number", **LINEAR)
+
+
+def test_ome_pixels_without_a_size(tmp_path):
+    path = ome(tmp_path / "a.tif", V, unit="pixel")
+    refused(path, r"spacing \(mm along z, y, x\)", **LINEAR)
+    right(path, **GIVEN)
+
+
+def test_channels_of_imagej_that_are_slices(tmp_path):
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, PAGES, imagej=True)
+    refused(path, 'metadata={"axes": "ZYX"}', **GIVEN)
+
+
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize(
+    ("values", "axes"),
+    [(V[None], "TZYX"), (V[:, None], "ZCYX"), (PAGES[..., None], None), (V[None, :, None], None)],
+)
+def test_axes_of_length_one(tmp_path, values, axes, compression):
+    path = tmp_path / "a.tif"
+    options = {"photometric": "minisblack", "compression": compression}
+    tifffile.imwrite(path, values, metadata={"axes": axes} if axes else {}, **options)
+    right(path, V if axes else values.squeeze().transpose(1, 0, 2), **GIVEN)
+
+
+def test_volumetric_tiles(tmp_path):
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.ones((32, 32, 32), "f4"), tile=(16, 16, 16))
+    refused(path, "volumetric tiles", **GIVEN)
+
+
 @pytest.mark.parametrize(
     ("names", "says"),
     [
@@ -131,7 +185,21 @@ def test_ome_volumes_in_a_series_and_parts_of_one(tmp_path):
         (["b1.png", "b2.gif", "b3.png"], "this format is not read"),
         (["b1.png", "b2.png", "b3.png"], None),
         (["a.png", "b.png", "c.png"], None),
-        (["2024-01-01_1.png", "2024-01-01_2.png", "2024-01-02_10.png"], None),
+        (["2024-01-01_1.png", "2024-01-01_2.png", "2024-01-02_3.png"], None),
+        (["2024-01-31_1.png", "2024-02-01_2.png", "2024-02-02_3.png"], None),
+        (["2024-01-01_1.png", "2024-01-01_2.png", "2024-01-02_10.png"], "clear order.*_10.png"),
+        (["01-02-2024_2.png", "02-02-2024_3.png", "31-01-2024_1.png"], "several numbers"),
+        (["b1_105959.png", "b2_110000.png", "b3_110007.png"], None),
+        (["b1_10-59-59.png", "b2_11-00-00.png", "b3_11-00-07.png"], None),
+        (["b1_101500.png", "b2_101501.png", "b4_101503.png"], "a B-scan is missing"),
+        (["a1_b8.png", "a1_b9.png", "a2_b8.png", "a2_b9.png"], None),
+        (["a1_b8.png", "a1_b9.png", "a2_b8.png"], "several numbers"),
+        (["a1_b2.png", "a2_b3.png", "a3_b1.png"], "several numbers"),
+        (["y_-1.png", "y_-2.png", "y_-3.png"], "a sign or a dash"),
+        (["scan-1.png", "scan-2.png", "scan-3.png"], None),
+        (["b01.png", "b1.png", "b2.png"], "followed by"),
+        (["one.png", "three.png", "two.png"], "do not give an order: one.png, three.png"),
+        (["a.png", "b.png", "d.png"], "do not give an order"),
     ],
 )
 def test_names_of_images(tmp_path, names, says):
@@ -140,7 +208,49 @@ def test_names_of_images(tmp_path, names, says):
     if says:
         refused(tmp_path, says, **GIVEN)
     else:
-        right(tmp_path, V[:, :3], **GIVEN)
+        right(tmp_path, V[:, : len(names)], **GIVEN)
+
+
+@pytest.mark.parametrize(
+    ("mode", "ending", "says"),
+    [
+        ("1", "png", "one bit per pixel"),
+        ("1", "bmp", "one bit per pixel"),
+        ("P", "png", "a palette"),
+        ("LA", "png", "grey with transparency"),
+        ("RGB", "png", "colour image"),
+    ],
+)
+def test_images_that_are_not_grey(tmp_path, mode, ending, says):
+    path = tmp_path / f"a.{ending}"
+    Image.fromarray(PAGES[0].astype("u1")).convert(mode).save(path)
+    refused(path, f"{says}.*save it in grey", **GIVEN)
+
+
+def end_of_first_variable(content):
+    return 128 + 8 + int.from_bytes(content[132:136], "little") - 1
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "says"),
+    [
+        ("npz_stored", lambda content: len(content) // 2, "Bad CRC-32"),
+        ("thorlabs_slash", lambda content: len(content) // 2, "Bad CRC-32"),
+        ("mat5", end_of_first_variable, "damaged"),
+        ("nifti_gz", lambda content: len(content) - 8, "CRC check failed"),
+    ],
+)
+def test_a_bit_that_has_changed(tmp_path, name, place, says):
+    path, options = WRITERS[name](tmp_path, volume((71, 51, 61)))
+    content = bytearray(path.read_bytes())
+    content[place(content)] ^= 1
+    path.write_bytes(content)
+    refused(path, says, **options)
+
+
+def test_a_packed_nifti_file_by_any_name(tmp_path):
+    path, options = WRITERS["nifti_gz"](tmp_path, V)
+    right(path.rename(tmp_path / "9.nii"), **options)
 
 
 def test_a_nifti_file_of_two_voxel_sizes(tmp_path):
@@ -187,6 +297,52 @@ def test_dicom_frames_by_their_positions(tmp_path, at, says):
             plane, frame = dataset(), dataset()
             plane.ImagePositionPatient = [0, SPACING["y"] * number, 0]
             frame.PlanePositionSequence = [plane]
+            image.PerFrameFunctionalGroupsSequence.append(frame)
+
+    path = dicom(tmp_path, change)
+    if says:
+        refused(path, says, **LINEAR)
+    else:
+        right(path, **LINEAR)
+
+
+COUNTED = [1, 2, 3, 4, 5]
+STACKS = [[1, 1], [1, 2], [1, 3], [2, 1], [2, 2]]
+ROUNDED = [0, 1, 3, 4, 5]  # 0, 1.3, 2.6, 3.9, 5.2
+
+
+@pytest.mark.parametrize(
+    ("sequence", "name", "values", "says"),
+    [
+        ("FrameContent", "InStackPositionNumber", COUNTED, None),
+        ("FrameContent", "InStackPositionNumber", COUNTED[::-1], "not stored in the order"),
+        ("FrameContent", "InStackPositionNumber", [1, 2, 4, 5, 6], "not evenly"),
+        ("FrameContent", "InStackPositionNumber", [1, 2, 3, 4], "not stored in the order"),
+        ("FrameContent", "DimensionIndexValues", [[1, n] for n in COUNTED], None),
+        ("FrameContent", "DimensionIndexValues", [[1, n] for n in COUNTED[::-1]], "in the order"),
+        (
+            "FrameContent",
+            "DimensionIndexValues",
+            [[1, 1], [1, 2], [1, 3], [2, 1], [2, 2]],
+            "evenly",
+        ),
+        ("FrameContent", "DimensionIndexValues", [[1], [1], [1], [1], [1]], None),
+        ("OphthalmicFrameLocation", "ReferenceCoordinates", [[n, 0, n, 9] for n in ROUNDED], None),
+        (
+            "OphthalmicFrameLocation",
+            "ReferenceCoordinates",
+            [[10.0 * n, 0, 10.0 * n, 99] for n in (0, 2, 1, 3, 4)],
+            "by ReferenceCoordinates its 5 frames are not stored in the order",
+        ),
+    ],
+)
+def test_dicom_frames_by_their_numbers(tmp_path, sequence, name, values, says):
+    def change(image, dataset):
+        image.PerFrameFunctionalGroupsSequence = []
+        for value in values:
+            item, frame = dataset(), dataset()
+            setattr(item, name, value)
+            setattr(frame, f"{sequence}Sequence", [item])
             image.PerFrameFunctionalGroupsSequence.append(frame)
 
     path = dicom(tmp_path, change)

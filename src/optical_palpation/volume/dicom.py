@@ -18,6 +18,13 @@ FORMAT = "DICOM"
 
 _DEFLATED = "1.2.840.10008.1.2.1.99"
 _MAX_RATIO = 1000
+#: Where the frames of a file are placed, and in what: numbers count them in their order.
+_PLACES = (
+    ("PlanePositionSequence", "ImagePositionPatient", "mm"),
+    ("FrameContentSequence", "InStackPositionNumber", "number"),
+    ("FrameContentSequence", "DimensionIndexValues", "number"),
+    ("OphthalmicFrameLocationSequence", "ReferenceCoordinates", "pixels"),
+)
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -124,11 +131,16 @@ def _items(path: Path, header: Any, name: str) -> list[Any]:
 
 def _padding(path: Path, header: Any) -> tuple[float, float] | None:
     """Lowest and highest stored value that stands for no sample."""
-    if header.get("PixelPaddingValue") in (None, ""):
-        return None
-    value = _number(path, header, "PixelPaddingValue", 0)
-    limit = _number(path, header, "PixelPaddingRangeLimit", value)
-    return min(value, limit), max(value, limit)
+    for kind in ("", "Float", "DoubleFloat"):
+        name = f"{kind}PixelPaddingValue"
+        given = header.get(name)
+        # NaN stands for no sample anyway.
+        if given in (None, "") or given != given:
+            continue
+        value = _number(path, header, name, 0)
+        limit = _number(path, header, f"{kind}PixelPaddingRangeLimit", value)
+        return min(value, limit), max(value, limit)
+    return None
 
 
 def _stated(path: Path, header: Any, frames: int) -> Stated:
@@ -136,31 +148,47 @@ def _stated(path: Path, header: Any, frames: int) -> Stated:
     measures = _shared(path, header, "PixelMeasuresSequence")
     rows, columns = _numbers(path, measures, "PixelSpacing", 2)
     (between,) = _numbers(path, measures, "SpacingBetweenSlices", 1)
-    _check_positions(path, header, between)
+    _check_positions(path, header, frames, between)
     if frames == 1:
         return Stated(axes="zx", spacing=(rows, columns))
     return Stated(axes="yzx", spacing=(between, rows, columns))
 
 
-def _check_positions(path: Path, header: Any, between: float | None) -> None:
-    """Refuse frames that do not follow each other evenly, where the file tells their positions."""
+def _check_positions(path: Path, header: Any, frames: int, between: float | None) -> None:
+    """Refuse frames that do not follow each other evenly, by all that the file tells of it."""
     groups = _items(path, header, "PerFrameFunctionalGroupsSequence")
-    planes = [_items(path, frame, "PlanePositionSequence") for frame in groups]
-    if len(planes) < 2 or not all(planes):
-        return
-    at = [_numbers(path, plane[0], "ImagePositionPatient", 3) for plane in planes]
-    steps = np.diff(np.array(at, float), axis=0)
-    mean = steps.mean(axis=0)
-    length = float(np.linalg.norm(mean))
-    if not np.all(np.abs(steps - mean) <= 0.01 * length):
-        raise InputError(
-            f"{path}: its frames are not stored in the order of their positions, or not evenly "
-            "spaced; sort them"
-        )
-    if between is not None and abs(length - abs(between)) > 0.01 * length:
-        raise InputError(
-            f"{path}: its frames lie {length:g} mm apart, SpacingBetweenSlices says {between:g}"
-        )
+    for sequence, name, kind in _PLACES:
+        at = _places(path, groups, sequence, name)
+        if at is None:
+            continue
+        steps = np.diff(at, axis=0)
+        mean = steps.mean(axis=0)
+        length = float(np.linalg.norm(mean))
+        allowed = 0.01 * length
+        if kind == "pixels":  # of another image, often rounded
+            allowed = 0.5 * length + np.array_equal(at, at.round())
+        falls = kind == "number" and bool((mean < 0.0).any())
+        if len(at) != frames or falls or not np.all(np.abs(steps - mean) <= allowed):
+            raise InputError(
+                f"{path}: by {name} its {frames} frames are not stored in the order of their "
+                "positions, or not evenly spaced; sort them"
+            )
+        if kind == "mm" and between is not None and abs(length - abs(between)) > 0.01 * length:
+            raise InputError(
+                f"{path}: its frames lie {length:g} mm apart, SpacingBetweenSlices says {between:g}"
+            )
+
+
+def _places(path: Path, groups: list[Any], sequence: str, name: str) -> NDArray[np.float64] | None:
+    """What an element says of every frame, a row each; None where one of them lacks it."""
+    items = [_items(path, frame, sequence) for frame in groups]
+    if len(items) < 2 or not all(items):
+        return None
+    values = [item[0].get(name) for item in items]
+    if any(value is None or np.size(value) == 0 for value in values):
+        return None
+    count = np.size(values[0])
+    return np.array([_numbers(path, item[0], name, count) for item in items], float)
 
 
 def _number(path: Path, header: Any, name: str, default: float) -> float:

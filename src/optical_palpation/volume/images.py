@@ -7,7 +7,7 @@ Rows are z, columns x; the files follow each other along y in the natural order 
 from __future__ import annotations
 
 import re
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,15 @@ FORMAT = "B-scan images"
 _MAGIC = (b"\x89PNG\r\n\x1a\n", b"BM", b"\xff\xd8\xff")
 _SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff")
 _NOT_READ = (".gif", ".webp", ".jp2", ".j2k", ".pgm", ".pnm", ".ppm", ".dng", ".avif", ".heic")
+_SIGN = re.compile(r"(?:^|[^0-9A-Za-z])[-+]$")
 _ORIENTATION = 274  # of EXIF
 _PILLOW_FORMATS = ("PNG", "BMP", "JPEG")
 _TYPES = {"L": np.uint8, "I;16": np.uint16, "I;16B": np.uint16, "I": np.int32, "F": np.float32}
+_NOT_GREY = {
+    "1": "has one bit per pixel, black or white",
+    "P": "has a palette of colours",
+    "LA": "is grey with transparency",
+}
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -73,10 +79,11 @@ def _images(folder: Path) -> list[Path]:
 
 
 def _check_sequence(files: list[Path]) -> None:
-    """Refuse numbered files whose order is not clear, or among which one is missing."""
+    """Refuse files whose order their names do not make clear, or among which one is missing."""
     names = [re.split(r"([0-9]+)", file.name) for file in files]
     if not any(len(name) > 1 for name in names):
-        return  # without numbers
+        _check_letters(files)
+        return
     for name, file in zip(names, files, strict=True):
         if name[::2] != names[0][::2]:
             raise InputError(
@@ -93,16 +100,64 @@ def _check_sequence(files: list[Path]) -> None:
                 f"{files[0].parent}: decimals in names, as in {files[0].name}, do not give an "
                 "order; number the B-scans with whole numbers"
             )
-    if len(varying) != 1:
-        return
-    numbers = [int(part) for part in columns[varying[0]]]
-    steps = [b - a for a, b in pairwise(numbers)]
-    for (before, after), step in zip(pairwise(files), steps, strict=True):
-        if step != min(steps):
+    if any(_SIGN.search("".join(names[0][:n])) for n in varying):
+        raise InputError(
+            f"{files[0].parent}: a sign or a dash before a number, as in {files[0].name}, does not "
+            "give a clear order; number the B-scans with whole numbers from 0"
+        )
+    numbers = [[int(part) for part in columns[n]] for n in varying]
+    if len(numbers) > 1:
+        if not (_is_counted(numbers) or _is_grid(numbers)):
             raise InputError(
-                f"{before.parent}: {before.name} is followed by {after.name}; a B-scan is missing "
-                "between them, or a file of another series is among them"
+                f"{files[0].parent}: several numbers in the names of the B-scans do not give a "
+                f"clear order, or a B-scan is missing: {_listing(files)}; number them 1, 2, 3, ..."
             )
+        return
+    for steps in map(_steps, numbers):
+        for (before, after), step in zip(pairwise(files), steps, strict=True):
+            if step != max(1, min(steps)):
+                raise InputError(
+                    f"{before.parent}: {before.name} is followed by {after.name}; a B-scan is "
+                    "missing between them, or a file of another series is among them"
+                )
+
+
+def _check_letters(files: list[Path]) -> None:
+    """Without numbers only letters that follow each other, as a, b, c, make an order."""
+    names = [file.name for file in files]
+    varying = [column for column in zip(*names, strict=False) if len(set(column)) > 1]
+    alike = len({len(name) for name in names}) == 1 and len(varying) <= 1
+    if not (alike and all(set(_steps(list(map(ord, column)))) == {1} for column in varying)):
+        raise InputError(
+            f"{files[0].parent}: the names of the B-scans do not give an order: {_listing(files)}; "
+            "number them 1, 2, 3, ..."
+        )
+
+
+def _is_counted(numbers: list[list[int]]) -> bool:
+    """Tell whether one of the numbers counts the files, and the rest, a date perhaps, rises too."""
+    for column in numbers:
+        rest = list(zip(*(other for other in numbers if other is not column), strict=True))
+        steps = set(_steps(column))
+        if len(steps) == 1 and min(steps) > 0 and rest == sorted(rest):
+            return True
+    return False
+
+
+def _is_grid(numbers: list[list[int]]) -> bool:
+    """Tell whether every number goes with every other one, each of them evenly spaced."""
+    values = [sorted(set(column)) for column in numbers]
+    even = all(len(set(_steps(column))) == 1 for column in values)
+    return even and list(zip(*numbers, strict=True)) == list(product(*values))
+
+
+def _steps(numbers: list[int]) -> list[int]:
+    return [after - before for before, after in pairwise(numbers)]
+
+
+def _listing(files: list[Path]) -> str:
+    names = [file.name for file in files]
+    return ", ".join(names if len(names) < 8 else [*names[:6], "...", names[-1]])
 
 
 def _natural(file: Path) -> list[tuple[int, int, str]]:
@@ -120,7 +175,8 @@ def _header(file: Path) -> tuple[tuple[int, int], np.dtype[Any]]:
     else:
         with _open_image(file) as image:
             if image.mode not in _TYPES:
-                raise InputError(f"{file}: is a colour image ({image.mode}); save it in grey")
+                kind = _NOT_GREY.get(image.mode, f"is a colour image ({image.mode})")
+                raise InputError(f"{file}: {kind}; save it in grey, with 8 or 16 bits")
             if (orientation := image.getexif().get(_ORIENTATION, 1)) != 1:
                 raise InputError(
                     f"{file}: its orientation tag says {orientation}, that it lies on its side or "

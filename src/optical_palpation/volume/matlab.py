@@ -66,12 +66,22 @@ def _v73(path: Path) -> Contents:
                 and (item.dtype.kind in "biufc" or item.dtype.names)
             ):
                 found[name] = _v73_variable(path, item, matlab_class)
+        _check_descriptions(path, unread)
         facts = described(stated, str(path))
         found = {n: Variable(**vars(v) | {"stated": facts}) for n, v in found.items()}
         return Contents(found, file.close, texts, unread)
     except BaseException:
         file.close()
         raise
+
+
+def _check_descriptions(path: Path, unread: list[str]) -> None:
+    """Refuse what is called like a description but cannot be read, as a MATLAB ``string``."""
+    if found := sorted(set(unread).intersection(DESCRIPTIONS)):
+        raise InputError(
+            f"{path}: {found[0]} should describe the array, but is neither characters nor numbers: "
+            "save it in single quotes ('yzx') or as numbers, or leave it out"
+        )
 
 
 def _v73_variable(path: Path, item: Any, matlab_class: bytes) -> Variable:
@@ -92,6 +102,7 @@ def _v73_variable(path: Path, item: Any, matlab_class: bytes) -> Variable:
 def _v5(path: Path) -> Contents:
     found = matlab_v5.variables(path)
     unread = [name for name, header in found.items() if header is None]
+    _check_descriptions(path, unread)
     unread += [n for n, header in found.items() if is_unit_key(n) and header and header.dtype]
     stated: dict[str, Any] = {}
     texts: dict[str, str] = {}

@@ -33,7 +33,7 @@ _STORED = {
     13: "u8",
 }
 _TEXT = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
-_CHAR_CLASS = 4
+_CHAR_CLASS, _OPAQUE_CLASS = 4, 17
 _CLASSES = {
     6: "f8",
     7: "f4",
@@ -100,7 +100,8 @@ def variables(path: Path) -> dict[str, Variable | None]:
             if kind in (_MATRIX, _COMPRESSED):
                 stream = _content(file, position, size, kind == _COMPRESSED, order, path)
                 name, variable = _header(stream, position, size, kind == _COMPRESSED, order, path)
-                found[name] = variable
+                if name:  # MATLAB keeps what belongs to its objects in one without
+                    found[name] = variable
             position += 8 + size
     raise InputError(f"{path}: holds more than {_MAX_VARIABLES} variables")
 
@@ -113,41 +114,52 @@ def load(path: Path, variable: Variable) -> FileArray | LazyArray | str:
             file, variable.position, variable.size, variable.compressed, variable.order, path
         )
         _header(stream, variable.position, variable.size, variable.compressed, variable.order, path)
-        count = int(np.prod([int(n) for n in variable.shape], dtype=object))
-        stored, size, small = _tag(stream, variable.order, path)
-        if variable.kind == _CHAR_CLASS:
-            if size > 10_000 or stored not in _TEXT:
-                raise InputError(f"{where}: text of an unsupported kind")
-            codec = _TEXT[stored] + (
-                {"<": "-le", ">": "-be"}[variable.order] if stored in (4, 17, 18) else ""
-            )
-            return (small or _exactly(stream, size, where)).decode(codec, errors="replace").strip()
-        target = np.dtype(variable.order + _CLASSES[variable.kind])
-        part = np.dtype(variable.order + _STORED.get(stored, "V1"))
-        if part.kind == "V" or size != count * part.itemsize:
-            raise InputError(
-                f"{where}: {size} bytes of stored type {stored} cannot be {variable.shape} samples "
-                f"of type {target}: damaged"
-            )
-        plain = not (variable.compressed or variable.is_complex or variable.is_logical)
-        if small is None and plain and part == target:
-            return FileArray(path, target, variable.shape, file.tell(), order="F")
+        found = _values(path, variable, file, stream)
+        if isinstance(stream, _Inflated):
+            stream.finish(where)
+        return found
 
-        check_ratio(size, variable.size, where)
-        if nbytes(variable.shape, target) * (1 + variable.is_complex) > MAX_LOADED_BYTES:
-            raise InputError(f"{where}: too large to load whole; save it with -v7.3")
-        real = _samples(stream, count, part, small, where).astype(target, copy=False)
-        if not variable.is_complex:
-            real = real.astype(bool) if variable.is_logical else real
-            return LazyArray(real.reshape(variable.shape, order="F"))
-        _exactly(stream, -size % 8 if small is None else 0, where)
-        stored, size, small = _tag(stream, variable.order, path)
-        part = np.dtype(variable.order + _STORED.get(stored, "V1"))
-        if part.kind == "V" or size != count * part.itemsize:
-            raise InputError(f"{where}: the imaginary part does not fit the real one")
-        values = np.empty(count, variable.dtype)
-        values.real, values.imag = real, _samples(stream, count, part, small, where)
-        return LazyArray(values.reshape(variable.shape, order="F"))
+
+def _values(
+    path: Path, variable: Variable, file: IO[bytes], stream: _Stream
+) -> FileArray | LazyArray | str:
+    """What follows the header of a variable."""
+    where = f"{path}: {variable.name}"
+    count = int(np.prod([int(n) for n in variable.shape], dtype=object))
+    stored, size, small = _tag(stream, variable.order, path)
+    if variable.kind == _CHAR_CLASS:
+        if size > 10_000 or stored not in _TEXT:
+            raise InputError(f"{where}: text of an unsupported kind")
+        codec = _TEXT[stored] + (
+            {"<": "-le", ">": "-be"}[variable.order] if stored in (4, 17, 18) else ""
+        )
+        return (small or _exactly(stream, size, where)).decode(codec, errors="replace").strip()
+    target = np.dtype(variable.order + _CLASSES[variable.kind])
+    part = np.dtype(variable.order + _STORED.get(stored, "V1"))
+    if part.kind == "V" or size != count * part.itemsize:
+        raise InputError(
+            f"{where}: {size} bytes of stored type {stored} cannot be {variable.shape} samples "
+            f"of type {target}: damaged"
+        )
+    plain = not (variable.compressed or variable.is_complex or variable.is_logical)
+    if small is None and plain and part == target:
+        return FileArray(path, target, variable.shape, file.tell(), order="F")
+
+    check_ratio(size, variable.size, where)
+    if nbytes(variable.shape, target) * (1 + variable.is_complex) > MAX_LOADED_BYTES:
+        raise InputError(f"{where}: too large to load whole; save it with -v7.3")
+    real = _samples(stream, count, part, small, where).astype(target, copy=False)
+    if not variable.is_complex:
+        real = real.astype(bool) if variable.is_logical else real
+        return LazyArray(real.reshape(variable.shape, order="F"))
+    _exactly(stream, -size % 8 if small is None else 0, where)
+    stored, size, small = _tag(stream, variable.order, path)
+    part = np.dtype(variable.order + _STORED.get(stored, "V1"))
+    if part.kind == "V" or size != count * part.itemsize:
+        raise InputError(f"{where}: the imaginary part does not fit the real one")
+    values = np.empty(count, variable.dtype)
+    values.real, values.imag = real, _samples(stream, count, part, small, where)
+    return LazyArray(values.reshape(variable.shape, order="F"))
 
 
 class _Inflated:
@@ -173,6 +185,12 @@ class _Inflated:
             n -= len(part)
         return b"".join(parts)
 
+    def finish(self, where: str) -> None:
+        """Read the checksum, before which at most padding is left."""
+        self.read(8)
+        if not self._zlib.eof:
+            raise InputError(f"{where}: is not followed by the end of its stream: damaged")
+
 
 def _content(
     file: IO[bytes], position: int, size: int, compressed: bool, order: str, path: Path
@@ -194,14 +212,15 @@ def _header(
     if flags_kind != 6 or flags_size != 8:
         return "", None
     flags, _ = _words(_exactly(stream, 8, str(path)), order, path)
-    dims = _element(stream, order, path)
+    kind = flags & 0xFF
+    # string, table and datetime have no dimensions
+    dims = b"" if kind == _OPAQUE_CLASS else _element(stream, order, path)
     name = _element(stream, order, path).rstrip(b"\0").decode("latin-1")
     if len(dims) % 4:
         raise InputError(f"{path}: the dimensions of {name} take {len(dims)} bytes: damaged")
     shape = tuple(int(n) for n in np.frombuffer(dims, order + "i4"))
     if any(n < 0 for n in shape):
         raise InputError(f"{path}: {name} has a negative dimension {shape}")
-    kind = flags & 0xFF
     if kind not in _CLASSES and kind != _CHAR_CLASS:
         return name, None
     is_complex = bool(flags >> 8 & _COMPLEX_FLAG)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
 from .archive import check_ratio
@@ -23,6 +24,7 @@ from .metadata import Stated
 
 FORMAT = "NIfTI"
 
+_MOST_MORE = 64 * 2**20
 _GZIP = b"\x1f\x8b"
 
 
@@ -77,11 +79,23 @@ def contents(path: Path, wanted: str | None) -> Contents:
         )
     # A slope of 0 or NaN in the header means "not scaled": nibabel sees to that.
     scaled = proxy.slope != 1 or proxy.inter != 0
-    data = np.asanyarray(proxy) if compressed else _Scaled(proxy, dtype, scaled)
+    data = _unpacked(path, header, needed) if compressed else _Scaled(proxy, dtype, scaled)
     array = squeezed(LazyArray(data, None if compressed else (*shape[:-1], 1)))
     stated = _stated(header, array.shape, str(path))
     dims = tuple("xyz"[: len(array.shape)]) if _is_upright(header) else ()
     return Contents.single(array, stated, "loaded" if compressed else "mapped", dims=dims)
+
+
+def _unpacked(path: Path, header: Any, needed: int) -> NDArray[Any]:
+    """Samples of a file that is packed, whatever it is called; its sum is checked."""
+    from nibabel.arrayproxy import ArrayProxy
+
+    with gzip.open(path) as stream:
+        data = np.asanyarray(ArrayProxy(stream, header, mmap=False))
+        while stream.read(2**20):
+            if stream.tell() > 2 * needed + _MOST_MORE:
+                raise InputError(f"{path}: far more follows the samples: damaged")
+    return data
 
 
 class _Scaled:

@@ -40,7 +40,7 @@ _TYPES = {
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Any file beside which a sidecar lies."""
+    """Any file beside which a sidecar with ``dtype`` or ``shape`` lies."""
     return bool(head) and _sidecar(path) is not None
 
 
@@ -74,10 +74,15 @@ def contents(path: Path, wanted: str | None) -> Contents:
 
 def _sidecar(path: Path) -> Path | None:
     both = [path.with_name(path.name + suffix) for suffix in (".toml", ".json")]
-    found = [sidecar for sidecar in both if sidecar.is_file()]
+    found = [sidecar for sidecar in both if sidecar.is_file() and _is_ours(sidecar)]
     if len(found) > 1:
         raise InputError(f"{path}: has two sidecars, {found[0].name} and {found[1].name}; keep one")
     return found[0] if found else None
+
+
+def _is_ours(sidecar: Path) -> bool:
+    """Other programs, too, keep notes on ``map.csv`` in ``map.csv.json``."""
+    return not _entries(sidecar).keys().isdisjoint(("dtype", "shape"))
 
 
 def _entries(sidecar: Path) -> dict[str, Any]:
@@ -88,6 +93,4 @@ def _entries(sidecar: Path) -> dict[str, Any]:
         entries = tomllib.loads(text) if sidecar.suffix == ".toml" else json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{sidecar}: cannot be read ({error})") from error
-    if not isinstance(entries, dict):
-        raise InputError(f"{sidecar}: must be a table of entries")
-    return entries
+    return entries if isinstance(entries, dict) else {}

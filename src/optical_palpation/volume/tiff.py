@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -21,11 +22,19 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .archive import check_ratio
-from .arrays import MAX_BSCAN_BYTES, FileArray, PagedArray, check_array, nbytes, squeezed
+from .arrays import (
+    MAX_BSCAN_BYTES,
+    FileArray,
+    PagedArray,
+    check_array,
+    nbytes,
+    squeezed,
+    squeezed_axes,
+)
 from .cf import Decoded
-from .contents import Contents
+from .contents import Contents, Variable
 from .metadata import Access, Stated, parse_xml
-from .units import length_unit, to_mm
+from .units import length_unit, split_unit, to_mm
 
 FORMAT = "TIFF"
 
@@ -33,6 +42,9 @@ MAGIC = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 _MAX_PAGES, _MAX_TAGS = 100_000, 4096
 _LZW, _ORIENTATION = 5, 274
 _UNCALIBRATED = 20  # ImageJ's number of the calibration function "none"
+_ENTRY = re.compile(r"\s*(?P<key>[^:=]+?)\s*[:=]\s*(?P<value>\S.*?)\s*")
+_LATERAL = re.compile(r"\b(?:[xy]|lateral|pixels?|spacing|pitch|field|fov|positions?)\b", re.I)
+_NO_CHANGE = {"scale": 1.0, "offset": 0.0}
 _NO_UNIT = ("", "gray value", "grey value", "pixel value")  # of ImageJ's samples
 # Vendors' multi-page conventions; some follow references to other files.
 _VENDORS = (
@@ -121,21 +133,26 @@ def _exactly(stream: IO[bytes], n: int, path: Path) -> bytes:
 
 
 def page_array(path: Path, file: Any) -> Any:
-    """Array of an open TIFF file's first and only series of pages."""
-    if len(file.series) != 1:
-        shapes = sorted({s.shape for s in file.series})[:5]
+    """Array of an open TIFF file's only series of pages, but for smaller copies of it."""
+    if not file.series:
+        raise InputError(f"{path}: holds no pages")
+    series, *others = (s for n, s in enumerate(file.series) if n == 0 or not s.keyframe.is_reduced)
+    if others:
+        kinds = "; ".join(map(_kind, (series, *others[:4])))
         raise InputError(
-            f"{path}: its pages differ in shape or type ({shapes}); one stack is needed"
+            f"{path}: its pages differ: {kinds}. One stack is needed: save it alone, with NaN "
+            "where a mask marks values as missing"
         )
-    (series,) = file.series
     page = series.keyframe
-    shape, dtype = tuple(series.shape), series.dtype
+    shape, dtype = tuple(series.shape[axis] for axis in _axes(series)), series.dtype
     if dtype is None or page.dtype is None:
         raise InputError(f"{path}: samples of an unsupported type")
     if page.samplesperpixel != 1 or page.photometric not in (0, 1):
         raise InputError(f"{path}: colour images; save the OCT signal in grey")
     if page.photometric == 0:
         raise InputError(f"{path}: inverted grey (0 is white); save it with 0 as black")
+    if page.is_volumetric:
+        raise InputError(f"{path}: volumetric tiles {page.tile}; save it as a stack of pages")
     if page.compression == _LZW and page.fillorder != 1:
         raise InputError(f"{path}: LZW with reversed bits; save it uncompressed or with deflate")
     check_array(shape, dtype, str(path))
@@ -159,6 +176,21 @@ def page_array(path: Path, file: Any) -> Any:
 
     array: Any = PagedArray(read_page, dtype, (pages, rows, columns))
     return squeezed(array, keep=2) if len(shape) == 2 else array
+
+
+def _axes(series: Any) -> list[int]:
+    """Numbers of the axes without those of length one that nobody needs."""
+    one_page = len(series) == 1 and series.shape[0] != 1
+    return squeezed_axes(series.shape, keep=2 if one_page else 3)
+
+
+def _kind(series: Any) -> str:
+    """How the pages of a series are stored, in words."""
+    page = series.keyframe
+    count = "a page" if len(series) == 1 else f"{len(series)} pages"
+    rows, columns = page.shape[:2]
+    mask = ", a mask" if page.is_mask else ""
+    return f"{count} of {rows} x {columns} {page.dtype} ({page.compression.name.lower()}){mask}"
 
 
 def _check_segments(path: Path, number: int, single: Any, keyframe: Any) -> None:
@@ -196,8 +228,8 @@ def _contents(path: Path, file: Any) -> Contents:
     stack = len(array.shape) == 3
     stated = Stated(axes="yzx" if stack else "zx")
     description = page.description
-    mapped = isinstance(array, FileArray)
-    texts = {}
+    access: Access = "mapped" if isinstance(array, FileArray) else "streamed"
+    attrs: dict[str, object] = {}
     if "<OME" in description[:2000]:
         stated = _ome(description, array.shape, str(path))
     elif file.is_imagej:
@@ -206,19 +238,58 @@ def _contents(path: Path, file: Any) -> Contents:
         array = _calibrated(metadata, array, str(path))
         unit = str(metadata.get("vunit", "")).strip()
         if unit.lower() not in _NO_UNIT:
-            texts["units"] = unit
-    elif file.is_shaped:
-        stated = Stated(axes=_shaped(file, array.shape) or stated.axes)
+            attrs["units"] = unit
+    else:
+        attrs |= _attributes(description)
+        if described := file.shaped_metadata:
+            attrs |= described[0]
+            stated = Stated(axes=_shaped(file.series[0], described[0]) or stated.axes)
+    attrs |= _gdal(path, page)
     array = _without_nodata(path, page, array)
-    access: Access = "mapped" if mapped else "streamed"
-    return Contents.single(array, stated, access, file.close, texts=texts)
+    attrs = {key: value for key, value in attrs.items() if value}
+    found = Variable(array.shape, array.dtype, lambda: array, access, attrs=attrs, stated=stated)
+    return Contents({"": found}, file.close)
 
 
-def _shaped(file: Any, shape: tuple[int, ...]) -> str | None:
+def _attributes(description: str) -> dict[str, object]:
+    """Lines like ``unit: um``; of the others what ends with a unit, as ``thickness in um`` does."""
+    attrs: dict[str, object] = {}
+    units: list[str] = []
+    for line in description.splitlines():
+        if entry := _ENTRY.fullmatch(line):
+            attrs[entry["key"].lower()] = entry["value"]
+            continue
+        words, unit = split_unit(line)
+        if unit and not words[-1:].isdigit() and not _LATERAL.search(words):
+            units.append(unit)
+            attrs["description"] = line
+    if len(set(units)) > 1:
+        attrs["units"] = " or ".join(units)  # which is refused where it matters
+    return attrs
+
+
+def _gdal(path: Path, page: Any) -> dict[str, object]:
+    """Attributes by GDAL's metadata; an InputError if values would have to be scaled."""
+    attrs: dict[str, object] = {}
+    metadata = str(_tag(page, "GDAL_METADATA", ""))
+    if not metadata:
+        return attrs
+    for item in parse_xml(metadata.encode(), f"{path}: GDAL metadata").iter("Item"):
+        text = (item.text or "").strip()
+        role = item.get("role") or item.get("name", "").lower()
+        attrs["units" if role == "unittype" else role] = text
+        if role in _NO_CHANGE and text != "" and _number(text, str(path)) != _NO_CHANGE[role]:
+            raise InputError(
+                f"{path}: its GDAL metadata state a {role} of {text}; save the values themselves"
+            )
+    return attrs
+
+
+def _shaped(series: Any, described: Mapping[str, object]) -> str | None:
     """Axes as tifffile's own description names them, where it does."""
-    described = file.shaped_metadata
-    axes = str(described[0].get("axes", "")) if described else ""
-    return axes.lower() if sorted(axes) in (["X", "Y", "Z"], ["X", "Z"], ["X", "Y"]) else None
+    axes = "".join(series.axes[axis] for axis in _axes(series))
+    known = sorted(axes) in (["X", "Y", "Z"], ["X", "Z"], ["X", "Y"])
+    return axes.lower() if known and "axes" in described else None
 
 
 def _calibrated(metadata: dict[str, Any], array: Any, path: str) -> Any:
@@ -239,15 +310,6 @@ def _calibrated(metadata: dict[str, Any], array: Any, path: str) -> Any:
 
 def _without_nodata(path: Path, page: Any, array: Any) -> Any:
     """The array with NaN for the value that GDAL's tag calls missing."""
-    metadata = str(_tag(page, "GDAL_METADATA", ""))
-    for item in (
-        parse_xml(metadata.encode(), f"{path}: GDAL metadata").iter("Item") if metadata else ()
-    ):
-        if item.get("role") in ("scale", "offset"):
-            raise InputError(
-                f"{path}: its GDAL metadata state a {item.get('role')} of {item.text}; save the "
-                "values themselves"
-            )
     text = str(_tag(page, "GDAL_NODATA", "")).strip("\0 ")
     if not text or text.lower() == "nan":
         return array
@@ -271,9 +333,10 @@ def _ome(description: str, shape: tuple[int, ...], path: str) -> Stated:
 
     def step(axis: str) -> float | None:
         value = pixels.get(f"PhysicalSize{axis}")
-        if value is None:
+        unit = pixels.get(f"PhysicalSize{axis}Unit", "um")
+        if value is None or length_unit(unit) is None:  # also "pixel" and "reference frame"
             return None
-        return to_mm(_number(value, path), pixels.get(f"PhysicalSize{axis}Unit", "um"), path)
+        return to_mm(_number(value, path), unit, path)
 
     if pixels.get("SizeC", "1") != "1":
         raise InputError(f"{path}: holds {pixels.get('SizeC')} channels, not one volume")
@@ -284,6 +347,13 @@ def _ome(description: str, shape: tuple[int, ...], path: str) -> Stated:
             f"{pixels.get('SizeT')} times, the file holds {pages} pages: not one volume, or not "
             "all of it"
         )
+    for planes in pixels.iterfind("{*}TiffData"):
+        page, *place = (_number(planes.get(n, 0), path) for n in ("IFD", "FirstZ", "FirstT"))
+        if page != sum(place):
+            raise InputError(
+                f"{path}: OME-XML tells of planes in another order than that of the pages; save "
+                "them in order"
+            )
     if len(shape) == 2:
         return Stated(axes="zx", spacing=(step("Y"), step("X")))
     if pixels.get("SizeZ") == str(shape[0]) and shape[0] > 1:
@@ -296,7 +366,10 @@ def _imagej(metadata: dict[str, Any], page: Any, stack: bool, path: str) -> Stat
     axes = "yzx" if stack else "zx"
     unit = metadata.get("unit")
     if metadata.get("channels", 1) != 1:
-        raise InputError(f"{path}: holds {metadata['channels']} channels, not one volume")
+        raise InputError(
+            f"{path}: holds {metadata['channels']} channels, not one volume; if they are B-scans, "
+            'make them slices (tifffile writes them with metadata={"axes": "ZYX"})'
+        )
     if any(metadata.get(f"{axis}unit", unit) != unit for axis in "yz"):
         raise InputError(f"{path}: its pixel sizes are in different units; state one in ImageJ")
     if not isinstance(unit, str) or length_unit(unit) is None:
@@ -321,4 +394,4 @@ def _number(value: Any, path: str) -> float:
     try:
         return float(value)
     except (TypeError, ValueError):
-        raise InputError(f"{path}: {value!r} is not a length") from None
+        raise InputError(f"{path}: {value!r} is no number") from None
