@@ -1164,6 +1164,9 @@ for what, options, answer in (
     ),
     ("a description", {"description": "thickness in um"}, Read(MAP)),
     ("a description of lines", {"description": "map 3\nunit: um\nfov: 3 mm"}, Read(MAP)),
+    ("a long description", {"description": "Thickness map in um of sample 3"}, Read(MAP)),
+    ("a description of an entry", {"description": "Thickness: um"}, Read(MAP)),
+    ("a description of pixels", {"description": "pixel size in um"}, Refused("give length_unit")),
     ("a description of a pixel", {"description": "map\nunit = px"}, Refused("'px'")),
     (
         "a description of two units",
@@ -1216,6 +1219,22 @@ def nifti_of_two_sizes(folder: Path) -> Path:
     return path
 
 
+def nifti_of_one_layer(folder: Path) -> Path:
+    import nibabel
+
+    image = nibabel.Nifti1Image(MAP.T[:, :, None], np.diag([0.02, 0.03, 1.0, 1.0]))
+    image.header.set_xyzt_units("mm")
+    nibabel.save(image, folder / "map.nii.gz")
+    return folder / "map.nii.gz"
+
+
+layer = Read(MAP, 0.02 * np.arange(5), 0.03 * np.arange(4))
+add("nifti of one layer", nifti_of_one_layer, layer, variable=None)
+for shape in ((1, 4, 5), (1, 1, 4, 5)):
+    values = MAP.reshape(shape)
+    add(f"tiff {shape}", tiff(values, photometric="minisblack"), Read(MAP))
+    packed = tiff(values, photometric="minisblack", compression="zlib")
+    add(f"tiff {shape}, packed", packed, Read(MAP))
 for compression in (None, "zlib"):
     options = {"photometric": "minisblack", "compression": compression}
     add(f"tiff last axis of one, {compression}", tiff(MAP[..., None], **options), Read(MAP))

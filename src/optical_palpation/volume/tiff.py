@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import math
-import re
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -34,7 +33,8 @@ from .arrays import (
 from .cf import Decoded
 from .contents import Contents, Variable
 from .metadata import Access, Stated, parse_xml
-from .units import length_unit, split_unit, to_mm
+from .remarks import units_of_remarks
+from .units import length_unit, to_mm
 
 FORMAT = "TIFF"
 
@@ -42,8 +42,6 @@ MAGIC = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 _MAX_PAGES, _MAX_TAGS = 100_000, 4096
 _LZW, _ORIENTATION = 5, 274
 _UNCALIBRATED = 20  # ImageJ's number of the calibration function "none"
-_ENTRY = re.compile(r"\s*(?P<key>[^:=]+?)\s*[:=]\s*(?P<value>\S.*?)\s*")
-_LATERAL = re.compile(r"\b(?:[xy]|lateral|pixels?|spacing|pitch|field|fov|positions?)\b", re.I)
 _NO_CHANGE = {"scale": 1.0, "offset": 0.0}
 _NO_UNIT = ("", "gray value", "grey value", "pixel value")  # of ImageJ's samples
 # Vendors' multi-page conventions; some follow references to other files.
@@ -230,6 +228,7 @@ def _contents(path: Path, file: Any) -> Contents:
     description = page.description
     access: Access = "mapped" if isinstance(array, FileArray) else "streamed"
     attrs: dict[str, object] = {}
+    unclear: dict[str, str] = {}
     if "<OME" in description[:2000]:
         stated = _ome(description, array.shape, str(path))
     elif file.is_imagej:
@@ -240,7 +239,9 @@ def _contents(path: Path, file: Any) -> Contents:
         if unit.lower() not in _NO_UNIT:
             attrs["units"] = unit
     else:
-        attrs |= _attributes(description)
+        units, unclear = units_of_remarks(description.splitlines())
+        if units:  # several are refused where it matters
+            attrs["units"] = " or ".join(sorted(units))
         if described := file.shaped_metadata:
             attrs |= described[0]
             stated = Stated(axes=_shaped(file.series[0], described[0]) or stated.axes)
@@ -248,24 +249,13 @@ def _contents(path: Path, file: Any) -> Contents:
     array = _without_nodata(path, page, array)
     attrs = {key: value for key, value in attrs.items() if value}
     found = Variable(array.shape, array.dtype, lambda: array, access, attrs=attrs, stated=stated)
-    return Contents({"": found}, file.close)
-
-
-def _attributes(description: str) -> dict[str, object]:
-    """Lines like ``unit: um``; of the others what ends with a unit, as ``thickness in um`` does."""
-    attrs: dict[str, object] = {}
-    units: list[str] = []
-    for line in description.splitlines():
-        if entry := _ENTRY.fullmatch(line):
-            attrs[entry["key"].lower()] = entry["value"]
-            continue
-        words, unit = split_unit(line)
-        if unit and not words[-1:].isdigit() and not _LATERAL.search(words):
-            units.append(unit)
-            attrs["description"] = line
-    if len(set(units)) > 1:
-        attrs["units"] = " or ".join(units)  # which is refused where it matters
-    return attrs
+    contents = Contents({"": found}, file.close)
+    if unclear:
+        contents.unclear_unit = (
+            f"{path}: its description states {', '.join(sorted(unclear))}, perhaps of something "
+            "else than the thickness; give length_unit"
+        )
+    return contents
 
 
 def _gdal(path: Path, page: Any) -> dict[str, object]:
