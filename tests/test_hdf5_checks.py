@@ -101,6 +101,18 @@ def test_an_attribute_may_be_empty(tmp_path, libver):
     assert read(path).shape == (5, 6)
 
 
+def test_a_type_of_variable_length_is_text_or_list(tmp_path):
+    path = tmp_path / "map.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("L1", data=np.full((5, 6), 0.4)).attrs["comment"] = "thin"
+    data = bytearray(path.read_bytes())
+    kind = data.index(b"\x10\0\0\0", data.index(b"comment")) - 4
+    assert data[kind + 1] == 1  # a text
+    data[kind + 1] = 0x7F
+    with pytest.raises(InputError, match=f"type at byte {kind} is neither text nor list"):
+        check_heaps(written(path, data))
+
+
 def test_items_larger_than_the_file_are_refused(tmp_path):
     path = tmp_path / "map.h5"
     with h5py.File(path, "w") as file:

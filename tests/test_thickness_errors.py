@@ -218,7 +218,7 @@ def test_contradicting_or_unknown_units(tmp_path):
 
 
 def test_lateral_frame_missing_or_contradicting(tmp_path):
-    x, y = 2.0 + np.arange(4.0), 2.0 + np.arange(3.0)  # from 0 or 1 on they number pixels
+    x, y = 2.0 + 1.25 * np.arange(4.0), 2.0 + 1.25 * np.arange(3.0)  # whole steps number pixels
     path = tmp_path / "map.npz"
     np.savez(path, L1=GOOD)
     expect(path, "no coordinates", "field of view", field_of_view=None)
@@ -227,7 +227,7 @@ def test_lateral_frame_missing_or_contradicting(tmp_path):
             read(path, field_of_view=wrong)
     np.savez(path, L1=GOOD, x=x, y=y)
     expect(path, "field of view of 5 mm along x contradicts the coordinates")
-    expect(path, "pixel spacing of 0.5 mm", field_of_view=None, pixel_spacing=(1, 0.5))
+    expect(path, "pixel spacing of 0.5 mm", field_of_view=None, pixel_spacing=(1.25, 0.5))
     np.savez(path, L1=GOOD, x=y, y=x)
     expect(path, "variable y", "3 rows along y and 4 columns along x", field_of_view=None)
     np.savez(path, L1=GOOD, x=x)

@@ -134,6 +134,10 @@ def _check_lists(path: Path, data: bytes) -> None:
         if data[kind] not in _VARIABLE_LENGTH:
             continue
         values = _values(data, kind)
+        if values and data[kind + 1] & 0x0F > 1:
+            raise InputError(
+                f"{path}: damaged HDF5 file (the type at byte {kind} is neither text nor list)"
+            )
         # each value begins with the number of items, and these have a size
         for at in (found.end() + 4, *values) if values else ():
             length = int.from_bytes(data[at : at + 4], "little")
