@@ -142,6 +142,13 @@ def test_initial_map_must_cover_the_layer_but_not_the_map():
     np.testing.assert_allclose(match_initial_thickness(smaller, inner), 0.5)
 
 
+def test_a_small_punch_may_leave_most_of_the_layer_thicker():
+    needle = flat(0.502, 0.502, 0.502, 0.2)  # it keeps its volume
+    assert match_initial_thickness(0.5, needle).attrs["no_contact_share"] == 0.75
+    noise = flat(0.501, 0.503, 0.502, 0.499)
+    match_initial_thickness(0.5, noise)
+
+
 @pytest.mark.parametrize(
     ("loaded", "initial", "message"),
     [
@@ -151,6 +158,7 @@ def test_initial_map_must_cover_the_layer_but_not_the_map():
         (flat(0.4, 0.41, field_of_view=(5000, 5000)), 0.5, "5000 mm wide along x"),
         (flat(0.4, 0.41, field_of_view=(5, 0.005)), 0.5, "0.005 mm wide along y"),
         (flat(0.5, 0.6), 0.5, "nowhere below"),
+        (flat(0.57, 0.56, 0.58, 0.495), 0.5, "by 65 um in the median, .* are the two swapped"),
         (flat(0.4, 0.4), 0.0, "positive and finite"),
         (flat(0.4, 0.4), -0.5, "positive and finite"),
         (flat(0.4, 0.4), float("nan"), "positive and finite"),

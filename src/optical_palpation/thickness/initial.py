@@ -18,6 +18,9 @@ _HARDEST_PRESSED = 0.1
 _PLAUSIBLE_ASPECT = (0.1, 500.0)
 # Pixels further apart than this many thicknesses show nothing of a layer.
 _PLAUSIBLE_SPACING = 10.0
+# Share of the initial thickness by which a layer that keeps its volume is not thicker than it was
+# over half of the map, if it is thinner by less than that elsewhere.
+_RISE = 0.01
 # Of the field of view of the initial map over that of the layer.
 _PLAUSIBLE_SPAN = 50.0
 
@@ -48,8 +51,8 @@ def match_initial_thickness(
     ------
     InputError
         If a thickness is not positive and finite, if `initial` does not cover the layer, if the
-        two differ so much that a unit must be wrong, or if no pixel of the layer is compressed and
-        the sample is not glued.
+        two differ so much that a unit must be wrong, or if, the sample not being glued, no pixel of
+        the layer is compressed or most are thicker than the others are compressed.
     """
     glued = flag(glued, "glued")
     loaded = on_grid(loaded, "loaded")
@@ -78,6 +81,15 @@ def match_initial_thickness(
             f"the loaded thickness ({loaded.values[measured].min():g} mm or more) is nowhere below "
             f"the initial thickness ({values[measured].max():g} mm at most): nothing is pressed. "
             "Check the initial thickness and the length unit; only a glued sample can pull"
+        )
+    rise = loaded.values[measured] - values[measured]
+    typical, pressed = float(np.median(rise)), -float(np.percentile(rise, 1))
+    if not glued and typical > max(pressed, _RISE * float(np.median(values))):
+        thinner = 1e3 * max(pressed, 0.0)
+        raise InputError(
+            f"the loaded layer is thicker than the unloaded one, by {1e3 * typical:.3g} um in the "
+            f"median, and on all but a hundredth of the map thinner by {thinner:.3g} um at most: "
+            "are the two swapped? Check the initial thickness, too; a layer keeps its volume"
         )
     return (
         loaded.copy(data=values)
