@@ -178,7 +178,7 @@ def page_array(path: Path, file: Any) -> Any:
 
 def _axes(series: Any) -> list[int]:
     """Numbers of the axes without those of length one that nobody needs."""
-    one_page = len(series) == 1 and series.shape[0] != 1
+    one_page = len(series) == 1 and series.shape[:1] != (1,)
     return squeezed_axes(series.shape, keep=2 if one_page else 3)
 
 
@@ -186,9 +186,10 @@ def _kind(series: Any) -> str:
     """How the pages of a series are stored, in words."""
     page = series.keyframe
     count = "a page" if len(series) == 1 else f"{len(series)} pages"
-    rows, columns = page.shape[:2]
+    size = " x ".join(map(str, page.shape[:2]))
     mask = ", a mask" if page.is_mask else ""
-    return f"{count} of {rows} x {columns} {page.dtype} ({page.compression.name.lower()}){mask}"
+    packed = getattr(page.compression, "name", str(page.compression)).lower()
+    return f"{count} of {size} {page.dtype} ({packed}){mask}"
 
 
 def _check_segments(path: Path, number: int, single: Any, keyframe: Any) -> None:
