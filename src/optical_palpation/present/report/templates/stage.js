@@ -212,8 +212,9 @@ class Stage extends MapPlot {
     return this.entry.relative ? error * Math.abs(value) : error;
   }
 
-  // Value, weight and error: in each pixel the share of a rectangle; or of places along a line, a
-  // pixel apart, where the distance from its start follows.
+  // Value, weight and error: of each pixel by the area of it that lies in a rectangle, where the share
+  // of it follows; or of places along a line, a pixel apart, where the distance from its start does.
+  // Of the outermost pixels half lies in the map.
   weighted({ kind, points: [a, b] }) {
     const { nx, ny, x0, dx, y0, dy, values } = this.grid;
     const found = [];
@@ -227,16 +228,21 @@ class Stage extends MapPlot {
       }
       return found;
     }
-    const share = (centre, size, low, high) =>
-      clamp((Math.min(centre + size / 2, high) - Math.max(centre - size / 2, low)) / size, 0, 1);
+    // The part of pixel k along an axis that lies between two places, and all of it, in pixels.
+    const part = (k, count, first, size, low, high) => {
+      const [begin, end] = [Math.max(k - 0.5, 0), Math.min(k + 0.5, count - 1)];
+      const inside = Math.min(end, (high - first) / size) - Math.max(begin, (low - first) / size);
+      return [clamp(inside, 0, end - begin), end - begin];
+    };
     for (let j = 0; j < ny; j++) {
-      const inY = share(y0 + j * dy, dy, a[1], b[1]);
+      const [inY, ofY] = part(j, ny, y0, dy, a[1], b[1]);
       if (!inY) continue;
       for (let i = 0; i < nx; i++) {
-        const weight = inY * share(x0 + i * dx, dx, a[0], b[0]);
-        if (!weight) continue;
+        const [inX, ofX] = part(i, nx, x0, dx, a[0], b[0]);
+        if (!inX) continue;
         const value = values[j * nx + i];
-        found.push([value, weight, this.errorAt(value, x0 + i * dx, y0 + j * dy)]);
+        const error = this.errorAt(value, x0 + i * dx, y0 + j * dy);
+        found.push([value, inX * inY, error, (inX * inY) / (ofX * ofY)]);
       }
     }
     return found;
@@ -252,9 +258,9 @@ class Stage extends MapPlot {
     const counted = known.reduce((sum, [, w]) => sum + w, 0);
     const error = known.reduce((sum, [, w, e]) => sum + e * w, 0) / counted;
     const square = seen.reduce((sum, [v, w]) => sum + w * (v - mean) ** 2, 0) / total;
-    const inner = seen.filter(([, w]) => w >= 0.5).map(([v]) => v);
-    const extremes = inner.length ? inner : seen.map(([v]) => v);
     const line = shape.kind === "line";
+    const inner = seen.filter(([, , , share]) => line || share >= 0.5).map(([v]) => v);
+    const extremes = inner.length ? inner : seen.map(([v]) => v);
     const pixel = this.grid.dx * this.grid.dy;
     const forced = !line && this.entry.force;
     return {
