@@ -113,7 +113,7 @@ OWN_FRAMES = {
     "transposed.npz": "13 rows along y and 17 columns along x",
     "short.npz": "13 rows along y and 17 columns along x",
     "one-axis.npz": "along both x and y",
-    "widths-in-um.npz": "no instrument sees 500 mm",
+    "widths-in-um.npz": "say the unit of the coordinates",
     "named-x.npz": "its type <U",
     "contradicting.npz --field-of-view 2 2": "contradicts",
 }

@@ -119,7 +119,8 @@ def described(entries: Mapping[str, Any], where: str) -> Stated:
     names = np.atleast_1d(np.asarray(entries.get("axes", ())))
     if names.size > 10:
         raise InputError(f"{where}: axes {_otherwise('yx')}")
-    axes = [_text(name, f"{where}: axes", "yx") or "" for name in names.ravel()]
+    # as arrays of one: NumPy makes no str of broken ones
+    axes = [_text(name, f"{where}: axes", "yx") or "" for name in names.reshape(-1, 1)]
     return Stated(
         axes=axes_of_text(axes) if axes else None,
         spacing=spacing,
