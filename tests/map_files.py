@@ -649,6 +649,7 @@ for name, content, answer in (
         "# made by us, 2024\n% and MATLAB\n" + rows().replace("\n", " # row\n"),
         Read(MAP),
     ),
+    ("a line of another white space", "\x1f\n" + rows(), Read(MAP)),
     ("blank lines", "\n" + rows().replace("\n", "\n\n"), Read(MAP)),
     (
         "missing words",

@@ -260,7 +260,7 @@ def split_lines(
             delimiter, first = stated[1], False
             continue
         # Tabs alone are a row of empty cells where tabs separate them.
-        if not line.strip(" " if first or delimiter == "\t" else None):
+        if not line.strip() and not ("\t" in line and (first or delimiter == "\t")):
             after_blank = True
             spaces.setdefault(len(line), number)
             continue
