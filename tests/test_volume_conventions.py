@@ -272,6 +272,24 @@ def dicom(folder, change):
     return path
 
 
+def check_frames(folder, sequence, name, values, says):
+    """A file whose frames are placed by one element: refused, or right where nothing is said."""
+
+    def change(image, dataset):
+        image.PerFrameFunctionalGroupsSequence = []
+        for value in values:
+            item, frame = dataset(), dataset()
+            setattr(item, name, value)
+            setattr(frame, f"{sequence}Sequence", [item])
+            image.PerFrameFunctionalGroupsSequence.append(frame)
+
+    path = dicom(folder, change)
+    if says:
+        refused(path, says, **LINEAR)
+    else:
+        right(path, **LINEAR)
+
+
 def test_dicom_of_floating_point_numbers(tmp_path):
     def change(image, _):
         del image.PixelData, image.BitsStored, image.HighBit, image.PixelRepresentation
@@ -291,19 +309,8 @@ def test_dicom_of_floating_point_numbers(tmp_path):
     ],
 )
 def test_dicom_frames_by_their_positions(tmp_path, at, says):
-    def change(image, dataset):
-        image.PerFrameFunctionalGroupsSequence = []
-        for number in at:
-            plane, frame = dataset(), dataset()
-            plane.ImagePositionPatient = [0, SPACING["y"] * number, 0]
-            frame.PlanePositionSequence = [plane]
-            image.PerFrameFunctionalGroupsSequence.append(frame)
-
-    path = dicom(tmp_path, change)
-    if says:
-        refused(path, says, **LINEAR)
-    else:
-        right(path, **LINEAR)
+    places = [[0, SPACING["y"] * number, 0] for number in at]
+    check_frames(tmp_path, "PlanePosition", "ImagePositionPatient", places, says)
 
 
 COUNTED = [1, 2, 3, 4, 5]
@@ -323,7 +330,7 @@ ROUNDED = [0, 1, 3, 4, 5]  # 0, 1.3, 2.6, 3.9, 5.2
         (
             "FrameContent",
             "DimensionIndexValues",
-            [[1, 1], [1, 2], [1, 3], [2, 1], [2, 2]],
+            STACKS,
             "evenly",
         ),
         ("FrameContent", "DimensionIndexValues", [[1], [1], [1], [1], [1]], None),
@@ -337,19 +344,7 @@ ROUNDED = [0, 1, 3, 4, 5]  # 0, 1.3, 2.6, 3.9, 5.2
     ],
 )
 def test_dicom_frames_by_their_numbers(tmp_path, sequence, name, values, says):
-    def change(image, dataset):
-        image.PerFrameFunctionalGroupsSequence = []
-        for value in values:
-            item, frame = dataset(), dataset()
-            setattr(item, name, value)
-            setattr(frame, f"{sequence}Sequence", [item])
-            image.PerFrameFunctionalGroupsSequence.append(frame)
-
-    path = dicom(tmp_path, change)
-    if says:
-        refused(path, says, **LINEAR)
-    else:
-        right(path, **LINEAR)
+    check_frames(tmp_path, sequence, name, values, says)
 
 
 def test_raw_samples_with_two_sidecars(tmp_path):

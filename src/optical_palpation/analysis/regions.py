@@ -204,8 +204,6 @@ class Region:
 
     def beyond(self, like: xr.DataArray) -> float:
         """Share of the region that lies outside of a map, to about one in a hundred."""
-        from skimage.measure import points_in_poly
-
         field = check_map(like, "map")
         reach = 1e-6 * np.array(pixel_size(field))[::-1]
         first, last = (np.array([float(field[a][n]) for a in "xy"]) for n in (0, -1))
@@ -228,16 +226,21 @@ class Region:
         at = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
         axes = (a + at * (b - a) for a, b in zip(points.min(0), points.max(0), strict=True))
         points = np.stack(np.meshgrid(*axes), -1).reshape(-1, 2)
+        points = points[self._holds(points)]
+        return float(outside(points).mean()) if len(points) else 0.0
+
+    def _holds(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which points lie within its outlines."""
+        from skimage.measure import points_in_poly
+
         inside = np.zeros(len(points), bool)
         for outline in self.outlines:
             inside ^= points_in_poly(points, outline)
-        return float(outside(points[inside]).mean()) if inside.any() else 0.0
+        return inside
 
     def _shares(
         self, y: NDArray[np.float64], x: NDArray[np.float64], size: tuple[float, float]
     ) -> NDArray[np.float64]:
-        from skimage.measure import points_in_poly
-
         shares = np.zeros((y.size, x.size))
         corners = np.concatenate(self.outlines)
         (x0, y0), (x1, y1) = corners.min(0), corners.max(0)
@@ -252,13 +255,10 @@ class Region:
         fine_y = (y[rows, None] + within * size[0]).ravel()
         fine_x = (x[columns, None] + within * size[1]).ravel()
         grid = np.stack(np.meshgrid(fine_x, fine_y), -1).reshape(-1, 2)
-        inside = np.zeros(len(grid), bool)
-        for outline in self.outlines:
-            inside ^= points_in_poly(grid, outline)
         first, last = (x[0], y[0]), (x[-1], y[-1])
         there = ((grid > first) & (grid < last)).all(axis=1)
         blocks = (rows.size, count, columns.size, count)
-        held = (inside & there).reshape(blocks).sum(axis=(1, 3))
+        held = (self._holds(grid) & there).reshape(blocks).sum(axis=(1, 3))
         shares[np.ix_(rows, columns)] = held / there.reshape(blocks).sum(axis=(1, 3))
         return shares
 

@@ -91,9 +91,10 @@ class Due:
 
     After ``first`` iterations, where the ``last`` ones left more than a share ``left`` of the
     error, and the columns are at most a share ``most`` of the layer. They are given up after
-    ``iterations``. Their volumes may be as much looser than the whole layer's as their forces, or
-    must be as good: thin layers that stick ask for that. Where they find no equilibrium they may
-    come to rest ``against_drag``.
+    ``iterations``. In a layer that was ``carried`` to another grid their volumes may be as much
+    looser than the whole layer's as their forces, and where they find no equilibrium they may come
+    to rest against drag. Where the load is followed neither pays: thin layers that stick ask for
+    volumes as good as the whole layer's.
     """
 
     first: int
@@ -101,14 +102,13 @@ class Due:
     left: float
     most: float
     iterations: int
-    loose_volumes: bool
-    against_drag: bool
+    carried: bool
 
 
 #: Where Newton's method is slow, and in a layer that was carried over to a fine grid, where an
 #: iteration of the whole takes as long as many of a small part.
-SLOW = Due(4, 2, 0.5, 0.35, 25, loose_volumes=False, against_drag=False)
-CARRIED = Due(2, 1, 0.1, 0.06, 8, loose_volumes=True, against_drag=True)
+SLOW = Due(4, 2, 0.5, 0.35, 25, carried=False)
+CARRIED = Due(2, 1, 0.1, 0.06, 8, carried=True)
 
 
 @dataclass
@@ -341,7 +341,7 @@ class _Elimination:
         # the whole layer's forces are what errors are compared with
         factor = scale * now.force_error / now.imbalance
         force = max(0.3 * self.tolerances.force, _KEEP * now.force_error / factor)
-        looser = max(1.0, force / self.tolerances.force) if self.due.loose_volumes else 1.0
+        looser = max(1.0, force / self.tolerances.force) if self.due.carried else 1.0
         wanted = replace(
             self.tolerances,
             force=factor * force,
@@ -356,7 +356,7 @@ class _Elimination:
         try:
             found = equilibrate(problem, own, solver, wanted, drag=drag, near=True)[0].state
         except NotConverged:
-            if drag is not None or not self.due.against_drag:
+            if drag is not None or not self.due.carried:
                 return state
             path = Path(LoadedLayer(problem, solver, None), wanted, wanted, own)
             try:

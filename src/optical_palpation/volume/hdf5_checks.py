@@ -118,7 +118,7 @@ def _check_objects(path: Path, heap: bytes, start: int) -> None:
         index = int.from_bytes(heap[at : at + 2], "little")
         size = int.from_bytes(heap[at + 8 : at + _HEAD], "little")
         # that of the free space, object 0, counts its head
-        step = size if index == 0 else _HEAD + (size + 7) // 8 * 8
+        step = size if index == 0 else _HEAD + _filled(size, 8)
         if not 0 < step <= len(heap) - at:
             raise InputError(
                 f"{path}: damaged HDF5 file (object {index} of the heap at byte {start} states a "

@@ -52,7 +52,8 @@ def units_of_remarks(remarks: Iterable[str]) -> tuple[set[str], dict[str, str]]:
     unclear: dict[str, str] = {}
     for remark in remarks:
         if named := _NAME.match(remark):
-            stated |= {unit for unit in (split_unit(named[1])[1],) if unit}
+            if unit_of_name := split_unit(named[1])[1]:
+                stated.add(unit_of_name)
             continue
         for clause in re.split(r";|\.\s", remark[:_LONGEST].replace("_", " ")):
             for unit, kind in _units(clause):
