@@ -21,6 +21,7 @@ from optical_palpation.study.script import reproducing_lines
 matplotlib.use("Agg")
 X, Y = np.linspace(0, 2, 33), np.linspace(0, 1.5, 25)
 GRID = {"element_size": 0.25, "threads": 1}
+PRESSED = {"thickness": 1.0, "compression": 0.5, "plate_friction": 0.1}
 
 
 def loaded(units="mm"):
@@ -240,6 +241,43 @@ def test_a_study_without_estimates_has_the_same_stress(result, tmp_path, monkeyp
 def test_errors_of_a_study_name_the_argument(changes, message):
     with pytest.raises(InputError, match=message):
         study(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"material": {"c10": -1.0}}, r"^material: unstable"),
+        ({"grid": 0.7}, r"^grid: the element size along z, 0\.7 mm"),
+        ({"unloaded": 500.0}, r"^unloaded\.thickness: a layer of 500 mm"),
+        ({"unloaded": 0.3}, r"^study: .*nothing is pressed"),
+        ({"loaded": loaded() * np.nan}, "^loaded: all values are missing"),
+        ({"layer": {"registration": True}}, r"^study: layer\.registration = true"),
+        (
+            {"loaded": {"map": "nowhere.npy"}},
+            r"^study: loaded\.map .* there is no \S+nowhere\.npy$",
+        ),
+        ({"sample": PRESSED | {"relief": 0 * loaded() * np.nan}}, r"^sample: sample\.relief: all"),
+        (
+            {"sample": PRESSED | {"earlier": [{"map": loaded() * np.nan, "compression": 0.1}]}},
+            r"^sample\.earlier\[1\]: sample\.earlier\[1\]\.map: all values",
+        ),
+        ({"sample": {"motion": loaded()}}, r"sample\.motion = DataArray"),
+    ],
+)
+def test_errors_of_a_study_in_memory_name_what_was_given_and_no_file(changes, message):
+    with pytest.raises(InputError, match=message) as caught:
+        study(**changes).run()
+    for name in (".toml", ".nc", "study file", "optical-palpation-"):
+        assert name not in str(caught.value)
+
+
+def test_a_load_that_a_study_in_memory_does_not_reach_names_no_file(monkeypatch):
+    def unreached(*given, **options):
+        raise ConvergenceError("loaded to 80 % only")
+
+    monkeypatch.setattr("optical_palpation.study.compute.computational_stress", unreached)
+    with pytest.raises(ConvergenceError, match=r"^study: loaded to 80 % only"):
+        study().run()
 
 
 @pytest.mark.parametrize("value", [np.float32(0.5), np.float64(0.5), np.int64(1)])

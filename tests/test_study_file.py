@@ -186,7 +186,7 @@ def test_all_that_is_wrong_is_told_at_once_and_each_thing_once(here):
 
 def test_an_unstable_material_is_refused_with_its_table(here):
     make_study(here, STUDY.replace("c10 = 2.23", "c10 = -2.23"))
-    with pytest.raises(MaterialError, match=r"study\.toml: \[material\]: unstable"):
+    with pytest.raises(MaterialError, match=r"study\.toml, \[material\]: unstable"):
         read_study("study.toml")
 
 

@@ -417,7 +417,7 @@ def test_what_is_missing_or_wrong_is_said(panel, study, tmp_path):
     panel.solving._size = None
     panel.solving.solve()
     wait(lambda: not panel.bench.background.is_busy)
-    assert panel.message.text().startswith("[grid]: the element size along z, 5 mm, is larger")
+    assert panel.message.text().startswith("grid: the element size along z, 5 mm, is larger")
     assert panel.bench.result is None
     with pytest.raises(Exception, match=r"ends in \.toml"):
         panel.save_study(str(tmp_path / "a.txt"))

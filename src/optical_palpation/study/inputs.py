@@ -113,7 +113,7 @@ def read_motion(study: Study) -> xr.Dataset | None:
     try:
         return read_sample_motion(study.path(motion))
     except InputError as error:
-        raise InputError(f"{study.file}, [sample]: {error}") from error
+        raise InputError(f"{study.where('[sample]')}: {error}") from error
 
 
 def modelled_sample(study: Study) -> Sample | None:
@@ -132,7 +132,7 @@ def modelled_sample(study: Study) -> Sample | None:
         if "relief" in given.files:
             relief = read_height_map(study.path(given.files["relief"]))
     except InputError as error:
-        raise InputError(f"{study.file}, [sample]: {error}") from error
+        raise InputError(f"{study.where('[sample]')}: {error}") from error
     return Sample(
         thickness=given.thickness,
         compression=_of_loads(study, "compression"),
@@ -167,7 +167,7 @@ def earlier_loads(study: Study) -> list[xr.DataArray]:
             path, extent = study.path(load.map), study.layer.extent
             cleaned = clean_thickness(read_thickness_map(path, layer_extent=extent, **load.reading))
         except InputError as error:
-            raise InputError(f"{study.file}, [[sample.earlier]] {number}: {error}") from error
+            raise InputError(f"{study.where(f'sample.earlier[{number}]')}: {error}") from error
         maps.append(cleaned["thickness"].where(~cleaned["filled"]))
     return maps
 

@@ -40,28 +40,28 @@ def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
     InputError, MaterialError
         With the table of the study, the number, what it contradicts and what may have happened.
     """
-    where = f"{study.file}"
+    where = study.where()
     try:
         check_layer(study.material.make())
     except MaterialError as error:
-        raise MaterialError(f"{where}, [material]: {error}") from error
+        raise MaterialError(f"{study.where('[material]')}: {error}") from error
     fields, depths = {}, []
     for side, source in study.inputs.items():
         if isinstance(source, VolumeInput):
             start, length = _extent_of_volume(inputs[side]["metadata"])
             fields[side] = (start[2], start[2] + length[2], start[1], start[1] + length[1])
             depths.append((length[0], f"the depth of the {side} volume"))
-            _check_ranges(source, start[0], start[0] + length[0], f"{where}, [{side}]")
+            _check_ranges(source, start[0], start[0] + length[0], study.where(f"[{side}]"))
         else:
             fields[side] = _field_of_map(study, source)
             depths.append((_thickest(study, source), f"the {side} layer"))
         x0, x1, y0, y1 = fields[side]
-        check_field(x1 - x0, y1 - y0, f"{where}, [{side}]")
+        check_field(x1 - x0, y1 - y0, study.where(f"[{side}]"))
     for depth, what in depths:
-        check_depth(depth, f"{where}, {what}")
+        check_depth(depth, study.where(what))
     if isinstance(study.unloaded, NumberInput):
         given = study.unloaded.thickness
-        check_depth(given, f"{where}, unloaded.thickness")
+        check_depth(given, study.where("unloaded.thickness"))
         depth, what = depths[0]
         if isinstance(study.loaded, VolumeInput) and given > depth:
             raise InputError(
@@ -76,11 +76,11 @@ def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
             check_elements(study.grid.element_size, (x1 - x0, y1 - y0), depth, what)
             check_count(study.grid.element_size, (x1 - x0, y1 - y0), _unloaded(study))
         except InputError as error:
-            raise InputError(f"{where}, [grid]: {error}") from error
+            raise InputError(f"{study.where('[grid]')}: {error}") from error
     try:
         study.errors.of_inputs.check_thickness(depth)
     except InputError as error:
-        raise InputError(f"{where}, [errors]: {error}") from error
+        raise InputError(f"{study.where('[errors]')}: {error}") from error
     slip, longest = study.friction.slip_length, SLIP_LENGTHS[1] * depth
     if slip is not None and slip > longest:
         raise InputError(
@@ -99,7 +99,7 @@ def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
 
 def _check_sample(study: Study) -> None:
     """Refuse a sample that does not fit to the layer, whose thickness is known if it is a map."""
-    where = f"{study.file}, [sample]"
+    where = study.where("[sample]")
     if study.sample.size is not None:
         check_field(*study.sample.size, f"{where}, size")
     sample = modelled_sample(study)
@@ -108,7 +108,7 @@ def _check_sample(study: Study) -> None:
     try:
         thickness = thickness_of(study, {})
     except InputError as error:
-        raise InputError(f"{study.file}: {error}") from error
+        raise InputError(f"{study.where()}: {error}") from error
     try:
         loads = [*earlier_loads(study), thickness["loaded_thickness"]]
         check_sample(sample, loads, thickness["initial_thickness"], study.material.make())
@@ -168,8 +168,8 @@ def _layer(study: Study, field: tuple[float, ...]) -> tuple[float, float, float,
     beyond = max(field[0] - x0, x1 - field[1], field[2] - y0, y1 - field[3])
     if beyond > slack or not (x0 < x1 and y0 < y1):
         raise InputError(
-            f"{study.file}: layer.extent = {list(given)} mm (x0, x1, y0, y1) must lie within the "
-            f"loaded map, x {field[0]:g} to {field[1]:g} mm, y {field[2]:g} to {field[3]:g} mm. "
-            'Leave it out if the layer goes on beyond, and see to "edges" in [grid]'
+            f"{study.where()}: layer.extent = {list(given)} mm (x0, x1, y0, y1) must lie within "
+            f"the loaded map, x {field[0]:g} to {field[1]:g} mm, y {field[2]:g} to {field[3]:g} "
+            'mm. Leave it out if the layer goes on beyond, and see to "edges" in [grid]'
         )
     return x0, x1, y0, y1

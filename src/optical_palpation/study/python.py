@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -112,11 +113,7 @@ class Study:
         }
         self._file = file
         nowhere = workspace.folder / "study"
-        try:
-            self._checked = make_study(self._given, file or nowhere)
-        except InputError as error:  # one that is in no file has no name
-            text = str(error).replace(f"{nowhere}: cannot", "study: cannot")
-            raise type(error)(text.replace(f"{nowhere}: ", "study, ")) from None
+        self._checked = make_study(self._given, file or nowhere, in_memory=file is None)
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Study:
@@ -274,16 +271,11 @@ class Study:
             yield
         except InputError as error:
             text = str(error)
-            for side in _SIDES:
-                file = Path(str(self._given[side].get("map")))
-                if file.is_relative_to(self._workspace.folder):
-                    text = text.replace(f"{file}, variable thickness", side).replace(
-                        str(file), side
-                    )
-            nowhere = self._workspace.folder / "study.toml"
-            raise type(error)(
-                text.replace(f"{nowhere}, ", "").replace(str(nowhere), "study")
-            ) from None
+            for file, argument in self._workspace.arguments.items():
+                text = re.sub(
+                    f"{re.escape(str(file))}(, variable (thickness|height))?", argument, text
+                )
+            raise type(error)(text) from None
 
     def _runnable(self) -> StudyFile:
         """The study as a file that can be run."""
@@ -295,7 +287,7 @@ class Study:
         given = {**self._given, "outputs": {"folder": "results", "write": []}}
         with replacing(file) as temporary:
             temporary.write_text(tomli_w.dumps(given), encoding="utf-8")
-        return make_study(given, file)
+        return make_study(given, file, in_memory=True)
 
 
 class _Workspace:
@@ -304,22 +296,28 @@ class _Workspace:
     def __init__(self) -> None:
         self._temporary = tempfile.TemporaryDirectory(prefix="optical-palpation-")
         self.folder = Path(self._temporary.name).resolve()
-        self._maps = 0
+        #: Maps that were given in memory, and as what.
+        self.arguments: dict[Path, str] = {}
 
-    def keep(self, field: xr.DataArray, name: str = "thickness") -> Path:
+    def keep(self, field: xr.DataArray, argument: str, name: str = "thickness") -> Path:
         """Write a map that was given in memory."""
-        self._maps += 1
-        path = self.folder / f"map-{self._maps}.nc"
+        path = self.folder / f"map-{len(self.arguments) + 1}.nc"
         write_thickness_map(field.to_dataset(name=name), path)
+        self.arguments[path] = argument
         return path
 
-
-def _kept_load(load: Mapping[str, Any], workspace: _Workspace) -> dict[str, Any]:
-    """An earlier load of a series, its map as a file."""
-    if isinstance(field := load.get("map"), xr.DataArray):
+    def keep_thickness(self, field: xr.DataArray, argument: str) -> dict[str, str]:
+        """Write a thickness map that was given in memory; how a study file names it."""
         from optical_palpation.thickness.frames import on_grid
 
-        return {**load, "map": str(workspace.keep(on_grid(field))), "variable": "thickness"}
+        path = self.keep(on_grid(field, argument), argument)
+        return {"map": str(path), "variable": "thickness"}
+
+
+def _kept_load(load: Mapping[str, Any], number: int, workspace: _Workspace) -> dict[str, Any]:
+    """An earlier load of a series, its map as a file."""
+    if isinstance(field := load.get("map"), xr.DataArray):
+        return {**load, **workspace.keep_thickness(field, f"sample.earlier[{number}].map")}
     return dict(load)
 
 
@@ -327,9 +325,7 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
     """What a study file would say, file names complete."""
     if name in _SIDES:
         if isinstance(value, xr.DataArray):
-            from optical_palpation.thickness.frames import on_grid
-
-            return {"map": str(workspace.keep(on_grid(value, name))), "variable": "thickness"}
+            return workspace.keep_thickness(value, name)
         value = plain(value) if isinstance(value, np.generic) else value
         if name == "unloaded" and isinstance(value, int | float) and not isinstance(value, bool):
             return {"thickness": float(value)}
@@ -363,14 +359,14 @@ def _table(name: str, value: Any, workspace: _Workspace, folder: Path) -> Any:
         for key in {"compression", "total_force"} & value.keys():
             value[key] = float(np.ravel(value[key])[0])
     if name == "sample" and isinstance(value, Mapping):
-        whole = {key: plain(of) for key, of in value.items() if not isinstance(of, xr.DataArray)}
+        whole = {key: plain(of) for key, of in value.items()}
         if loads := whole.get("earlier"):
-            whole["earlier"] = [_kept_load(load, workspace) for load in loads]
+            whole["earlier"] = [_kept_load(load, n, workspace) for n, load in enumerate(loads, 1)]
         whole = relocated(whole, lambda _, of: str((folder / of).resolve()))
+        if isinstance(relief := whole.get("relief"), xr.DataArray):
+            whole["relief"] = str(workspace.keep(relief, "sample.relief", "height"))
         for key, of in value.items():
-            if isinstance(of, xr.DataArray) and key == "relief":
-                whole[key] = str(workspace.keep(of, "height"))
-            elif isinstance(of, Law):
+            if isinstance(of, Law):
                 whole[key] = of.arguments
         return whole
     if name == "title":

@@ -202,7 +202,7 @@ def as_toml(value: Any) -> str:
     return str(value) if isinstance(value, int | float) else in_words(value)
 
 
-def make_study(given: Mapping[str, Any], file: Path) -> Study:
+def make_study(given: Mapping[str, Any], file: Path, *, in_memory: bool = False) -> Study:
     """Check the tables of a study.
 
     Parameters
@@ -211,6 +211,8 @@ def make_study(given: Mapping[str, Any], file: Path) -> Study:
         What the file says, as :mod:`tomllib` reads it.
     file
         The study file, from whose folder paths count.
+    in_memory
+        There is no such file, and errors name what was given.
 
     Raises
     ------
@@ -227,8 +229,8 @@ def make_study(given: Mapping[str, Any], file: Path) -> Study:
         study = Study.model_validate(merged)
     except ValidationError as error:
         problems = "\n".join(dict.fromkeys(f"  {line}" for line in _problems(error, given)))
-        raise InputError(f"{file}: cannot be used:\n{problems}") from None
-    study._file = file
+        raise InputError(f"{'study' if in_memory else file}: cannot be used:\n{problems}") from None
+    study._file, study._in_memory = file, in_memory
     said = json.dumps(given, sort_keys=True, default=str)
     study._sha256 = hashlib.sha256(said.encode("utf-8", "surrogatepass")).hexdigest()
     _check(study)
@@ -249,10 +251,11 @@ def _check(study: Study) -> None:
     try:
         study.material.make()
     except MaterialError as error:
-        raise MaterialError(f"{study.file}: [material]: {error}") from None
+        raise MaterialError(f"{study.where('[material]')}: {error}") from None
     if study.layer.registration and isinstance(study.unloaded, NumberInput):
         raise InputError(
-            f"{study.file}: layer.registration = true needs an unloaded volume or map, not a number"
+            f"{study.where()}: layer.registration = true needs an unloaded volume or map, not a "
+            "number"
         )
     earlier = [
         (f"sample.earlier[{n}]", load) for n, load in enumerate(study.sample.earlier, start=1)
@@ -266,13 +269,15 @@ def _check(study: Study) -> None:
                 continue
             path = study.path(name)
             if not os.path.exists(path):
+                whence = "; paths count from the folder of the study file"
                 raise InputError(
-                    f"{study.file}: {table}.{key} = {as_toml(name)}: there is no {path}; paths "
-                    "count from the folder of the study file"
+                    f"{study.where()}: {table}.{key} = {as_toml(name)}: there is no {path}"
+                    + ("" if os.path.isabs(name) else whence)
                 )
             if key != "volume" and os.path.isdir(path):  # volumes can be folders
                 raise InputError(
-                    f"{study.file}: {table}.{key} = {as_toml(name)}: is a folder; name a file in it"
+                    f"{study.where()}: {table}.{key} = {as_toml(name)}: is a folder; name a file "
+                    "in it"
                 )
     _check_sample(study)
 
@@ -290,11 +295,11 @@ def _check_sample(study: Study) -> None:
         of_sample = [name for name in OF_SAMPLE if name in study.errors.model_fields_set]
         if of_sample:
             raise InputError(
-                f"{study.file}: [errors] {', '.join(of_sample)}: only with the sample in the model "
-                "([sample] with its thickness); leave it out"
+                f"{study.where('[errors]')}: {', '.join(of_sample)}: only with the sample in the "
+                "model ([sample] with its thickness); leave it out"
             )
         return
-    where = f"{study.file}: [sample]"
+    where = study.where("[sample]")
     known = given.keys() | ({"compression"} if "total_force" in given else set())
     if absent := [f"{key} ({unit})" for key, unit in needed.items() if key not in known]:
         raise InputError(
@@ -318,7 +323,7 @@ def _check_sample(study: Study) -> None:
     try:
         study.sample.make_law(study.material.make())
     except MaterialError as error:
-        raise MaterialError(f"{study.file}: sample.law: {error}") from None
+        raise MaterialError(f"{study.where()}: sample.law: {error}") from None
     friction, grid = study.friction, study.grid
     refused = {
         'friction.window = "glued"': friction.window == "glued",
@@ -332,9 +337,9 @@ def _check_sample(study: Study) -> None:
     }
     if found := [what for what, there in refused.items() if there]:
         raise InputError(
-            f"{study.file}: {', '.join(found)}: not with the sample in the model ([sample]), where "
-            "the layer's sides are free, both of its faces slip, no imprint is smoothed and the "
-            "elements have one size: leave it out"
+            f"{study.where()}: {', '.join(found)}: not with the sample in the model ([sample]), "
+            "where the layer's sides are free, both of its faces slip, no imprint is smoothed and "
+            "the elements have one size: leave it out"
         )
 
 
@@ -449,7 +454,7 @@ def _hint(keys: list[str]) -> str:
 
 def _unknown(keys: list[str], known: list[str]) -> str:
     """Say that a key is unknown, and which one may have been meant."""
-    where = f"[{'.'.join(keys[:-1])}]" if len(keys) > 1 else "the file"
+    where = f"[{'.'.join(keys[:-1])}]" if len(keys) > 1 else "the study"
     if keys[0] in ("unloaded", "loaded") and keys[-1] in ("volume", "map", "thickness"):
         return f"{where} takes a volume or a map{_OR_NUMBER[keys[0]]}, and one of them"
     near = difflib.get_close_matches(keys[-1], known, 1)

@@ -175,9 +175,9 @@ def _make_all(
             else:
                 stage.make(folder / stage.file, tell)
             check_inputs()
-        except (InputError, ConvergenceError) as error:
+        except (InputError, ConvergenceError):
             (folder / stage.file).unlink(missing_ok=True)
-            raise type(error)(f"{study}: {error}") from error
+            raise
         done[stage.file] = {
             "key": keys[stage.file],
             "sha256": sha256(folder / stage.file),

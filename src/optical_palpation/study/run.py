@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from optical_palpation.errors import InputError, MaterialError
+from optical_palpation.errors import ConvergenceError, InputError, MaterialError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.study.compute import algebraic_of, thickness_of
 from optical_palpation.study.inputs import (
@@ -82,14 +82,14 @@ def describe_inputs(study: Study) -> str:
                 if source.corrections:
                     read_corrections(study.path(source.corrections))
         except InputError as error:
-            raise InputError(f"{study.file}, [{side}]: {error}") from error
+            raise InputError(f"{study.where(f'[{side}]')}: {error}") from error
     read_sample(study)
     check_study(study, inputs)
     if not by_side(study):  # of maps alone the algebraic method costs nothing
         try:
             algebraic_of(study, thickness_of(study, {}))
         except (InputError, MaterialError) as error:
-            raise type(error)(f"{study.file}: {error}") from error
+            raise type(error)(f"{study.where()}: {error}") from error
     return ", ".join(said)
 
 
@@ -137,7 +137,7 @@ def run_study(
         try:
             inputs[side] = facts(study, source)
         except InputError as error:
-            raise InputError(f"{study.file}, [{side}]: {error}") from error
+            raise InputError(f"{study.where(f'[{side}]')}: {error}") from error
     read_sample(study)  # should a file be useless, that is better known before all the work
     about = {
         "study_sha256": study.sha256,
@@ -149,14 +149,17 @@ def run_study(
     stages = Stages(study)
     plan = stages.plan(inputs)
     until = THICKNESS if thickness_only else None
-    files, earlier = make_all(
-        study.folder,
-        study.file.name,
-        about,
-        plan,
-        tell,
-        until,
-        check_inputs=unchanged,
-        beside=beside,
-    )
+    try:
+        files, earlier = make_all(
+            study.folder,
+            study.file.name,
+            about,
+            plan,
+            tell,
+            until,
+            check_inputs=unchanged,
+            beside=beside,
+        )
+    except (InputError, ConvergenceError) as error:
+        raise type(error)(f"{study.where()}: {error}") from error
     return StudyResult(study.folder, tuple(files), tuple(earlier), stages)

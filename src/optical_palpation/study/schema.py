@@ -279,12 +279,19 @@ class Study(Table):
     errors: Errors = Errors()
     outputs: Outputs = Outputs()
     _file: Path = PrivateAttr()
+    _in_memory: bool = PrivateAttr(False)
     _sha256: str = PrivateAttr()
 
     @property
     def file(self) -> Path:
         """The study file."""
         return self._file
+
+    def where(self, part: str = "") -> str:
+        """What errors call the study, or a part of it such as ``[grid]``: by its file, if any."""
+        if self._in_memory:
+            return part[1:-1] if part.startswith("[") else part or "study"
+        return f"{self._file}, {part}" if part else str(self._file)
 
     @property
     def sha256(self) -> str:

@@ -110,7 +110,7 @@ class Panel(QWidget):
         super().closeEvent(event)
 
     def _say(self, text: str) -> None:
-        self.message.setText(self.bench.session.in_words(text))
+        self.message.setText(text)
 
     def _progress(self, stage: str, share: float) -> None:
         self.bar.setFormat(f"{stage}: %p%")

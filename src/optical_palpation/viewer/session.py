@@ -134,7 +134,9 @@ class Session:
         InputError, MaterialError
             Naming everything that is missing or cannot be used.
         """
-        return make_study(self._with_corrections(self.tables, self._folder), self._file)
+        return make_study(
+            self._with_corrections(self.tables, self._folder), self._file, in_memory=True
+        )
 
     def find(self, side: str, progress: Tell | None = None) -> xr.Dataset:
         """Find the layer in a volume; after a correction, anew only what that changes.
@@ -284,10 +286,6 @@ class Session:
             temporary.write_text(tomli_w.dumps(tables), encoding="utf-8")
         read_study(path)
 
-    def in_words(self, error: object) -> str:
-        """An error without the study file that it names, as long as there is none."""
-        return str(error).replace(f"{self._file}, ", "").replace(f"{self._file}: ", "")
-
     def close(self) -> None:
         """Close the volumes."""
         for kept in self._layers.values():
@@ -317,7 +315,7 @@ class Session:
             "volumes": self.tables.get("volumes", {}),
             "loaded": self.tables[side],
         } | {side: self.tables[side]}
-        source = getattr(make_study(whole, self._file), side)
+        source = getattr(make_study(whole, self._file, in_memory=True), side)
         assert isinstance(source, VolumeInput)
         return source
 
