@@ -6,7 +6,7 @@ import difflib
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,14 @@ from optical_palpation.files import replacing
 from optical_palpation.material import Law
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.stiffness import Sample
-from optical_palpation.study.reading import changed, make_study, plain, read_study, relocated
+from optical_palpation.study.reading import (
+    changed,
+    known_keys,
+    make_study,
+    plain,
+    read_study,
+    relocated,
+)
 from optical_palpation.study.run import run_study
 from optical_palpation.study.schema import Study as StudyFile
 from optical_palpation.study.stages import THICKNESS
@@ -29,7 +36,6 @@ from optical_palpation.thickness import write_thickness_map
 Tell = Callable[[Any], None]
 _SIDES = ("unloaded", "loaded")
 _PATHS = ("volume", "map", "corrections")
-_ARGUMENTS = ", ".join(StudyFile.model_fields)
 #: What stands for a table, by name.
 _KINDS = {
     "material": "a law such as MooneyRivlin(c10=2.23, c01=0.703), or a mapping of keys to values",
@@ -84,12 +90,7 @@ class Study:
         folder: str | os.PathLike[str] = ".",
         **tables: Any,
     ) -> None:
-        if unknown := [name for name in tables if name not in StudyFile.model_fields]:
-            near = difflib.get_close_matches(unknown[0], StudyFile.model_fields, 1)
-            raise InputError(
-                f"Study: there is no argument {unknown[0]!r}; "
-                + (f"did you mean {near[0]}?" if near else f"it takes {_ARGUMENTS}")
-            )
+        _check_names(tables, "Study: there is no argument")
         given = {
             "loaded": loaded,
             "unloaded": unloaded,
@@ -161,6 +162,7 @@ class Study:
             else:
                 inner |= {f"{name}.{key}": of for key, of in value.items()}
         given = changed(given, {**inner, **(changes or {})})
+        _check_names(given, "study: there is no table")
         study = type(self).__new__(type(self))
         study._begin(self._workspace, given, Path("."))
         return study
@@ -312,6 +314,21 @@ class _Workspace:
 
         path = self.keep(on_grid(field, argument), argument)
         return {"map": str(path), "variable": "thickness"}
+
+
+def _check_names(names: Iterable[str], refusal: str) -> None:
+    """Refuse what is no table of a study, and say which table, or key of one, comes near."""
+    tables = StudyFile.model_fields
+    for name in names:
+        if name in tables:
+            continue
+        meant = difflib.get_close_matches(name, tables, 1)
+        if not meant:
+            keys = {t: known_keys([t], {}) for t in tables if t not in _SIDES}
+            near = difflib.get_close_matches(name, {key for k in keys.values() for key in k}, 1)
+            meant = [f"{table}.{key}" for key in near for table in keys if key in keys[table]]
+        hint = f"did you mean {' or '.join(meant)}?" if meant else f"it takes {', '.join(tables)}"
+        raise InputError(f"{refusal} {name!r}; {hint}")
 
 
 def _kept_load(load: Mapping[str, Any], number: int, workspace: _Workspace) -> dict[str, Any]:

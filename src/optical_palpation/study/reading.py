@@ -382,13 +382,13 @@ def _problems(error: ValidationError, given: Mapping[str, Any]) -> Iterator[str]
                 continue  # inherited; it is reported where it stands
         elif keys[:2] == ["sample", "law"]:
             del keys[2:3]
-        known = _known(keys[:-1], given)
+        known = known_keys(keys[:-1], given)
         if problem["type"] == "extra_forbidden":
             yield f"{'.'.join(keys)} = {as_toml(problem['input'])}: {_unknown(keys, known)}"
             continue
         while len(keys) > 1 and keys[-1] not in known:  # one of several types, such as "float"
             keys.pop()
-            known = _known(keys[:-1], given)
+            known = known_keys(keys[:-1], given)
         key = ".".join(keys)
         if problem["type"] == "one_of_two":
             yield f"{key}: takes {problem['msg']}{_hint([key, 'accuracy'])}, one of them"
@@ -462,7 +462,7 @@ def _unknown(keys: list[str], known: list[str]) -> str:
     return f"{where} has no such key; {meant}"
 
 
-def _known(keys: list[str], given: Mapping[str, Any]) -> list[str]:
+def known_keys(keys: list[str], given: Mapping[str, Any]) -> list[str]:
     """Keys that the table at `keys` may hold."""
     model: Any = Study
     for key in keys:
