@@ -409,8 +409,8 @@ def test_profile_whose_depth_has_a_unit(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("anchor sample 120 80 50", "Anchor.*x=120.0.*outside the volume"),
-        ("exclude window 100 200 10 20", "Exclusion.*outside the volume"),
+        ("anchor sample 120 80 50", "anchor sample 120 80 50 lies outside the volume"),
+        ("exclude window 100 200 10 20", "exclude window 100 200 10 20 lies outside the volume"),
         ("anchor sample 0.1 0.1 9", "z .* to .*mm"),
     ],
 )

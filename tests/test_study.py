@@ -318,6 +318,26 @@ def test_corrections_reach_the_thickness(here, run):
 
 
 @pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("anchor sample 0.6 99 0.3", "corrections: anchor sample 0.6 99 0.3 lies outside the vol"),
+        ("exclude window 5 6 0 1", "corrections: exclude window 5 6 0 1 lies outside the volume"),
+        ("anchor sample 0.6", "fix.txt, line 1: 'anchor sample 0.6': anchor takes 3 numbers"),
+    ],
+)
+@pytest.mark.parametrize("options", [[], ["--check"]])
+def test_corrections_that_cannot_be_used_are_refused_before_anything_is_computed(
+    here, run, options, line, words
+):
+    (here / "fix.txt").write_text(f"{line}\n")
+    make_study(here, STUDY.replace("[loaded]", '[loaded]\ncorrections = "fix.txt"'))
+    status, _, err = run("run", "study.toml", *options)
+    assert (status, words in err) == (2, True)
+    assert "study.toml, [loaded]: " in err
+    assert not (here / "study-results").exists()
+
+
+@pytest.mark.parametrize(
     ("old", "new", "words"),
     [
         ('scale = "linear"', "", "[unloaded]: unloaded.npy"),

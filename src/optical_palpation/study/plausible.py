@@ -20,7 +20,7 @@ from optical_palpation.stiffness import check_sample
 from optical_palpation.study.compute import thickness_of
 from optical_palpation.study.inputs import by_side, earlier_loads, modelled_sample
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
-from optical_palpation.thickness import read_thickness_map
+from optical_palpation.thickness import read_corrections, read_thickness_map
 from optical_palpation.thickness.frames import EXTENT_SLACK
 
 
@@ -52,6 +52,7 @@ def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
             fields[side] = (start[2], start[2] + length[2], start[1], start[1] + length[1])
             depths.append((length[0], f"the depth of the {side} volume"))
             _check_ranges(source, start[0], start[0] + length[0], study.where(f"[{side}]"))
+            _check_corrections(study, side, source, inputs[side]["metadata"])
         else:
             fields[side] = _field_of_map(study, source)
             depths.append((_thickest(study, source), f"the {side} layer"))
@@ -158,6 +159,18 @@ def _check_ranges(source: VolumeInput, shallow: float, deep: float, where: str) 
             f"{where}: window = {source.window:g} mm lies outside the volume, which is {shallow:g} "
             f"to {deep:g} mm deep"
         )
+
+
+def _check_corrections(
+    study: Study, side: str, source: VolumeInput, metadata: Mapping[str, Any]
+) -> None:
+    if source.corrections is None:
+        return
+    try:
+        fixes = read_corrections(study.path(source.corrections))
+        fixes.check_inside(metadata["origin"], metadata["spacing"], metadata["shape"])
+    except InputError as error:
+        raise InputError(f"{study.where(f'[{side}]')}: {error}") from error
 
 
 def _layer(study: Study, field: tuple[float, ...]) -> tuple[float, float, float, float]:

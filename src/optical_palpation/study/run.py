@@ -23,7 +23,7 @@ from optical_palpation.study.plausible import check_study
 from optical_palpation.study.record import Progress, check_folder, make_all
 from optical_palpation.study.schema import MapInput, Study
 from optical_palpation.study.stages import STRESS, THICKNESS, Stages
-from optical_palpation.thickness import read_corrections, read_thickness_map
+from optical_palpation.thickness import read_thickness_map
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,6 @@ def describe_inputs(study: Study) -> str:
             else:
                 with open_input(study, source) as volume:
                     said.append(f"{side} volume of {' x '.join(map(str, volume.shape))} samples")
-                if source.corrections:
-                    read_corrections(study.path(source.corrections))
         except InputError as error:
             raise InputError(f"{study.where(f'[{side}]')}: {error}") from error
     read_sample(study)

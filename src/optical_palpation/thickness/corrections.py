@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple, get_args
@@ -58,6 +59,11 @@ class Corrections:
     anchors: tuple[Anchor, ...] = ()
     exclusions: tuple[Exclusion, ...] = ()
 
+    def __iter__(self) -> Iterator[Anchor | Exclusion]:
+        """Go through anchors, then excluded regions."""
+        yield from self.anchors
+        yield from self.exclusions
+
     def check_inside(self, origin: Lengths, spacing: Lengths, shape: tuple[int, int, int]) -> None:
         """Refuse corrections that lie outside a volume, given along (z, y, x): they do nothing.
 
@@ -70,7 +76,7 @@ class Corrections:
         high = [a + n * step for a, n, step in zip(low, shape, spacing, strict=True)]
         spans = [(a.z, a.z, a.y, a.y, a.x, a.x) for a in self.anchors]
         spans += [(low[0], low[0], e.y_min, e.y_max, e.x_min, e.x_max) for e in self.exclusions]
-        for correction, span in zip((*self.anchors, *self.exclusions), spans, strict=True):
+        for correction, span in zip(self, spans, strict=True):
             ends = zip(span[::2], span[1::2], low, high, strict=True)
             if any(to < lowest or start > highest for start, to, lowest, highest in ends):
                 volume = ", ".join(
@@ -78,8 +84,8 @@ class Corrections:
                     for axis, a, b in zip("zyx", low, high, strict=True)
                 )
                 raise InputError(
-                    f"corrections: {correction} lies outside the volume ({volume} mm). Lengths are "
-                    "in mm, in the coordinates of the volume"
+                    f"corrections: {_line(correction, '{:g}'.format)} lies outside the volume "
+                    f"({volume} mm). Lengths are in mm, in the coordinates of the volume"
                 )
 
     def anchor_pixels(
@@ -152,6 +158,13 @@ def read_corrections(path: str | Path) -> Corrections:
     return Corrections(tuple(anchors), tuple(exclusions))
 
 
+def _line(correction: Anchor | Exclusion, said: Callable[[float], str]) -> str:
+    """A correction as its file says it."""
+    boundary, *numbers = correction
+    kind = "anchor" if isinstance(correction, Anchor) else "exclude"
+    return " ".join([kind, boundary, *map(said, numbers)])
+
+
 def write_corrections(corrections: Corrections, path: str | Path) -> None:
     """Write a text file of corrections, which :func:`read_corrections` reads to the last digit.
 
@@ -161,8 +174,7 @@ def write_corrections(corrections: Corrections, path: str | Path) -> None:
         If the file cannot be written.
     """
     lines = ["# mm; anchor: x y z, exclude: x from, to, y from, to"]
-    for kind, entries in (("anchor", corrections.anchors), ("exclude", corrections.exclusions)):
-        for boundary, *numbers in entries:
-            lines.append(" ".join([kind, boundary, *(repr(float(n)) for n in numbers)]))
+    for correction in corrections:
+        lines.append(_line(correction, lambda n: repr(float(n))))
     with replacing(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
