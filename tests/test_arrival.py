@@ -16,7 +16,7 @@ from optical_palpation.mechanics.cascade import make_solver
 from optical_palpation.mechanics.iteration import TOLERANCES, NotConverged, relaxed
 from optical_palpation.mechanics.newton import LoadedLayer, balance
 from optical_palpation.mechanics.schur import Lubrication
-from optical_palpation.palpation import computational_stress
+from optical_palpation.palpation import computational, computational_stress
 from optical_palpation.palpation.computational import residuals
 from optical_palpation.present import summarise
 from optical_palpation.thickness import thickness_map
@@ -43,6 +43,36 @@ def tilted(friction, element_size=0.25):
 def test_a_layer_that_nothing_holds_slides_away_and_is_no_result():
     with pytest.raises(ConvergenceError, match="nothing holds the layer sideways"):
         tilted(0.0)
+
+
+def test_a_full_load_without_equilibrium_is_not_called_a_part_of_it(monkeypatch):
+    def restless(*given, **options):
+        raise path.LoadNotReached(1.0, "the layer does not come to rest")
+
+    monkeypatch.setattr(computational, "solve", restless)
+    said = "loaded fully, but did not come to equilibrium there: the layer does not come to rest"
+    with pytest.raises(ConvergenceError, match=said):
+        tilted(0.2)
+
+
+@pytest.mark.parametrize(
+    ("load", "far", "of", "end"),
+    [
+        (0.3, "to 30.0 % only", "to 30.0 % of 2 mm only", "stopped at 30.0 % of the load"),
+        (0.9996, "to 99.96 % only", "to 99.96 % of 2 mm only", "stopped at 99.96 % of the load"),
+        (1 - 2e-6, "to 99.9998 % only", "to 99.9998 % of 2 mm only", "stopped at 99.9998 % of"),
+        (
+            1.0,
+            "fully, but did not come to equilibrium there",
+            "by the whole 2 mm, but did not come to equilibrium there",
+            "came to the full load, but to no equilibrium there: why",
+        ),
+    ],
+)
+def test_a_load_that_is_not_all_of_it_is_not_said_to_be(load, far, of, end):
+    failure = path.LoadNotReached(load, "why")
+    assert (failure.how_far(), failure.how_far("2 mm")) == (far, of)
+    assert str(failure).startswith(end)
 
 
 def test_a_result_says_how_it_ended():

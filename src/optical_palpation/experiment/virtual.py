@@ -118,8 +118,8 @@ def run_experiment(
             path = solve(levels, report)
     except LoadNotReached as failure:
         raise ConvergenceError(
-            f"the sample was compressed to {100 * failure.load:.1f} % of "
-            f"{scene.compression:g} mm only: {failure.reason}. {_advice(scene)}"
+            f"the sample was compressed {failure.how_far(f'{scene.compression:g} mm')}: "
+            f"{failure.reason}. {_advice(scene)}"
         ) from None
     stack, state = levels[-1], path.state
 

@@ -15,6 +15,7 @@ from dataclasses import replace
 from .contact import remember_slip
 from .iteration import NotConverged, Tolerances
 from .newton import LinearSolver, equilibrate, equilibrate_by
+from .path import LoadNotReached
 from .problem import LayerProblem, LayerState
 from .system import assemble
 
@@ -93,8 +94,7 @@ class Neighbours:
                     state = equilibrate(problem, trial, solver, _TOLERANCES, near=True)[0].state
                 self.states.append(state)
         except NotConverged as failure:
-            at = f"{trials[0].load:.0%} of the load"
-            self.stop(f"a slightly different layer stopped at {at}: {failure}")
+            self.stop(f"a slightly different layer {LoadNotReached(trials[0].load, str(failure))}")
 
 
 def _shifted(state: LayerState, before: LayerState, mine: LayerState) -> LayerState:

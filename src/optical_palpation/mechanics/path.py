@@ -166,9 +166,25 @@ class LoadNotReached(Exception):
     """The load path ended early; carries the load reached and the last reason."""
 
     def __init__(self, load: float, reason: str) -> None:
-        super().__init__(f"stopped at {100 * load:.1f} % of the load: {reason}")
         self.load = load
         self.reason = reason
+        end = f"stopped at {self._share} of the load"
+        if load >= 1.0:
+            end = "came to the full load, but to no equilibrium there"
+        super().__init__(f"{end}: {reason}")
+
+    def how_far(self, whole: str = "") -> str:
+        """Say how far it was loaded, or compressed by a `whole` such as "0.2 mm"."""
+        if self.load >= 1.0:
+            done = f"by the whole {whole}" if whole else "fully"
+            return f"{done}, but did not come to equilibrium there"
+        return f"to {self._share}{whole and f' of {whole}'} only"
+
+    @property
+    def _share(self) -> str:
+        """The load reached in percent, to the digits that tell it from all of it."""
+        left = max(100.0 * (1.0 - self.load), 1e-12)
+        return f"{100 * self.load:.{max(1, -int(np.floor(np.log10(left))))}f} %"
 
 
 @dataclass

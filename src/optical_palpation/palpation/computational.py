@@ -218,9 +218,9 @@ def computational_stress(
             )
     except LoadNotReached as failure:
         raise ConvergenceError(
-            f"the layer was loaded to {100 * failure.load:.1f} % only: {failure.reason}. Try a "
-            "stronger imprint_smoothing, larger elements, less friction or other edges; and check "
-            "that the thickness map is one a layer of this material can take"
+            f"the layer was loaded {failure.how_far()}: {failure.reason}. Try a stronger "
+            "imprint_smoothing, larger elements, less friction or other edges; and check that the "
+            "thickness map is one a layer of this material can take"
         ) from None
 
     now = checked(solution)

@@ -184,8 +184,8 @@ def sample_stress(
             errors = propagated(estimate, coarse, measured, input_errors, report)
     except LoadNotReached as failure:
         raise ConvergenceError(
-            f"layer and sample were compressed to {100 * failure.load:.1f} % of "
-            f"{blocks.travel:.3g} mm only: {failure.reason}. Check the compression and the "
+            f"layer and sample were compressed {failure.how_far(f'{blocks.travel:.3g} mm')}: "
+            f"{failure.reason}. Check the compression and the "
             "thickness of the sample, or try another element_size"
         ) from None
     _check_force(sample, estimate, errors)
