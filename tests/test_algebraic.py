@@ -152,9 +152,12 @@ def test_a_small_punch_may_leave_most_of_the_layer_thicker():
 @pytest.mark.parametrize(
     ("loaded", "initial", "message"),
     [
-        (flat(400.0, 410.0), 0.5, "loaded thickness is probably in um"),
-        (flat(0.4, 0.41), 500.0, "initial thickness is in um"),
-        (flat(0.4e-3, 0.41e-3), 0.5, "was read as um"),
+        (flat(400.0, 410.0), 0.5, "loaded thickness: a layer of 410 mm .*length_unit 'um'"),
+        (flat(40.0, 41.0), 0.05, "loaded thickness is probably in um"),
+        (flat(0.4, 0.41), 500.0, "initial thickness: a layer of 500 mm .* 1000 if it is in um"),
+        (flat(0.04, 0.041), 50.0, "initial thickness is in um"),
+        (flat(0.4e-3, 0.41e-3), 0.5, "loaded thickness: a layer of 0.00041 mm .* was read as um"),
+        (flat(0.4e-3, 0.41e-3), 0.5e-3, r"initial .* 0\.0005 mm .*in mm: multiply .* is in m,"),
         (flat(0.4, 0.41, field_of_view=(5000, 5000)), 0.5, "5000 mm wide along x"),
         (flat(0.4, 0.41, field_of_view=(5, 0.005)), 0.5, "0.005 mm wide along y"),
         (flat(0.5, 0.6), 0.5, "nowhere below"),

@@ -137,7 +137,7 @@ OPTIONS = {
     "--initial-thickness 0": "positive and finite",
     "--initial-thickness inf": "positive and finite",
     "--initial-thickness 500": "in um",
-    "--initial-thickness 0.0005": "in um",
+    "--initial-thickness 0.0005": "a layer of 0.0005 mm is thinner than 0.005 mm",
     "--initial-thickness 0,5": "0,5: no such file",
     "--initial-thickness folder.nc": "is a directory",
     "--initial-thickness missing.npy": "missing.npy: all values are missing",

@@ -19,7 +19,7 @@ from optical_palpation.study import (
     warnings_about,
     write_template,
 )
-from optical_palpation.thickness import thickness_map
+from optical_palpation.thickness import match_initial_thickness, thickness_map
 from study_case import LOADED, STUDY, UNLOADED, make_study
 
 MAPS = (
@@ -109,6 +109,24 @@ def test_a_study_of_maps(here, old, new, words):
     study = read_study(make_study(here, MAPS.replace(old, new)))
     with pytest.raises(InputError, match=words):
         run_study(study)
+
+
+def test_lengths_in_metres_are_told_from_large_elements(here):
+    """Elements of 0.1 mm are too large for a layer of 0.42e-3 mm, but that is not what is wrong."""
+    study = read_study(make_study(here, MAPS.replace("= 0.42", "= 0.42e-3")))
+    with pytest.raises(InputError, match=r"unloaded\.thickness: a layer of 0\.00042 mm .* in mm:"):
+        run_study(study)
+    np.save("pressed.npy", 1e-3 * LOADED)
+    study = read_study(make_study(here, MAPS))
+    with pytest.raises(InputError, match=r"the loaded layer: a layer of 0\.000\d* mm .* in mm:"):
+        run_study(study)
+
+
+def test_thin_and_thick_layers_that_there_are():
+    for thickness in (0.01, 0.05, 5.0, 50.0):
+        width = 20 * thickness
+        loaded = thickness_map(np.full((5, 5), 0.6 * thickness), field_of_view=(width, width))
+        match_initial_thickness(thickness, loaded)
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,8 @@ SOFT_LAYER = 0.1
 #: Mean stress, kPa: ten atmospheres. It presses on a field of 5 x 5 mm with the weight of 2.5 kg;
 #: soft tissue is destroyed by a tenth of it.
 LARGEST_MEAN_STRESS = 1e3
-#: Widest field and thickest layer, mm: an ultrasound array sees 60 mm by 40 mm.
-WIDEST_FIELD, THICKEST_LAYER = 500.0, 100.0
+#: Widest field, mm: an ultrasound array sees 60 mm.
+WIDEST_FIELD = 500.0
 #: More elements than any machine holds; their layout alone would take minutes.
 MOST_ELEMENTS = 1e8
 #: Hydrostatic tension, in Young's moduli, at which bonded rubber tears open from within (Gent and
@@ -198,18 +198,3 @@ def unusual(law: Law, maps: xr.Dataset) -> list[str]:
             f"its modulus tears open from within at about {limit:.3g} kPa"
         )
     return said
-
-
-def check_depth(thickness: float, where: str) -> None:
-    """Refuse a thickness (mm) that no compliant layer has.
-
-    Raises
-    ------
-    InputError
-        With the thickness, and what may have happened.
-    """
-    if thickness > THICKEST_LAYER:
-        raise InputError(
-            f"{where}: a layer of {thickness:g} mm is thicker than {THICKEST_LAYER:g} mm. Lengths "
-            "are in mm: divide by 1000 if it is in um"
-        )

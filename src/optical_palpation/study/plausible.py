@@ -11,7 +11,6 @@ from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.palpation.meshing import SLIP_LENGTHS
 from optical_palpation.palpation.plausibility import (
     check_count,
-    check_depth,
     check_elements,
     check_field,
     check_layer,
@@ -22,6 +21,7 @@ from optical_palpation.study.inputs import by_side, earlier_loads, modelled_samp
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
 from optical_palpation.thickness import read_corrections, read_thickness_map
 from optical_palpation.thickness.frames import EXTENT_SLACK
+from optical_palpation.thickness.initial import check_depth
 
 
 def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:

@@ -10,6 +10,9 @@ from optical_palpation.arguments import flag, number
 from optical_palpation.errors import InputError
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 
+#: Thinnest and thickest layer, mm: OCT resolves 0.002 mm or more along depth, and ultrasound sees
+#: 40 mm deep.
+THINNEST_LAYER, THICKEST_LAYER = 0.005, 100.0
 # Median loaded over initial thickness outside this range is no compression but a wrong unit.
 _PLAUSIBLE_RATIO = (0.01, 100.0)
 # A lower one is more than any layer bears.
@@ -74,6 +77,8 @@ def match_initial_thickness(
     measured = inside & np.isfinite(loaded.values)
     if not measured.any():
         raise InputError("the loaded thickness is missing everywhere in the layer")
+    check_depth(float(np.median(values)), "initial thickness")
+    check_depth(float(loaded.values[measured].max()), "loaded thickness")
     _check_units(loaded, float(np.median(loaded.values[measured])), float(np.median(values)))
     share = 0.0 if glued else float(np.mean(loaded.values[measured] >= values[measured]))
     if share == 1.0:
@@ -100,6 +105,27 @@ def match_initial_thickness(
             no_contact_share=share,
         )
     )
+
+
+def check_depth(thickness: float, where: str) -> None:
+    """Refuse a thickness (mm), of a map the largest, that no compliant layer has.
+
+    Raises
+    ------
+    InputError
+        With the thickness, and what may have happened.
+    """
+    if thickness > THICKEST_LAYER:
+        raise InputError(
+            f"{where}: a layer of {thickness:g} mm is thicker than {THICKEST_LAYER:g} mm. Lengths "
+            "are in mm: divide by 1000 if it is in um, or say length_unit 'um' of a file"
+        )
+    if thickness < THINNEST_LAYER:
+        raise InputError(
+            f"{where}: a layer of {thickness:g} mm is thinner than {THINNEST_LAYER:g} mm, and can "
+            "hardly be seen. Lengths are in mm: multiply by 1000 if it is in m, or if it was in mm "
+            "and was read as um"
+        )
 
 
 def _interpolated(initial: xr.DataArray, loaded: xr.DataArray) -> NDArray[np.float64]:
