@@ -271,6 +271,13 @@ def test_values_that_cannot_be_used(here, run, told, change, message):
     assert told == []
 
 
+def test_one_key_has_one_value(here, run, told):
+    changes = ["--set", "friction.window=0.2", "--set", "grid.edges=padded"]
+    status, _, err = run("run", "study.toml", *changes, "--set", "friction.window =0.3")
+    assert (status, told) == (2, [])
+    assert "--set friction.window: is given more than once" in err
+
+
 def test_several_studies_are_run_and_one_that_fails_does_not_stop_the_rest(here, run, told):
     (here / "other.toml").write_text(STUDY)
     status, _, err = run("run", "study.toml", "other.toml")

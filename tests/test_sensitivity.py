@@ -156,3 +156,5 @@ def test_errors_as_text():
     for wrong in ("friction=1", "modulus", "modulus=x", "thickness=-1", "modulus=inf"):
         with pytest.raises(InputError, match="error"):
             InputErrors.parsed([wrong])
+    with pytest.raises(InputError, match="window_friction is given more than once"):
+        InputErrors.parsed(["window_friction=0.03", "modulus=0.1", "window-friction=0.04"])

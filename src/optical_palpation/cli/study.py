@@ -71,7 +71,11 @@ def run(
 
     if output is not None and len(files) > 1:
         raise typer.BadParameter("--output is the folder of one study; leave it out of several")
-    values = dict(map(_change, changes or ()))
+    values: dict[str, Any] = {}
+    for name, value in map(_change, changes or ()):
+        if name in values:
+            raise typer.BadParameter(f"--set {name}: is given more than once")
+        values[name] = value
     studies = []
     for file in files:  # all are read before the first is run
         given = _with_folder(values, file)

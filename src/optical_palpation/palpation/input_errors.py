@@ -62,7 +62,7 @@ class InputErrors:
         Raises
         ------
         InputError
-            If a text names no input, or no number.
+            If a text names no input, or no number, or two name the same input.
         """
         names = [field.name for field in fields(cls)]
         values: dict[str, float] = {}
@@ -78,6 +78,8 @@ class InputErrors:
                     f"input error {text!r}: must be NAME=NUMBER, with NAME one of "
                     f"{', '.join(names)}; for example window_friction=0.03"
                 )
+            if name in values:
+                raise InputError(f"input error {text!r}: {name} is given more than once")
             values[name] = value
         return cls(**values)
 
