@@ -138,6 +138,10 @@ def test_unstable_fit_is_flagged_and_not_recommended(here, run, shared_data):
         (["test.csv", "--contact", "1.5"], "above -1"),
         (["test.csv", "--strain-range", "0.8", "0.9"], "between 0.8 and 0.9"),
         (["text.csv"], "row 3"),
+        (["force.csv"], "is a force; give the specimen's unloaded area in mm2\n"),
+        (["force.csv", "--area", "-3"], "area in mm2, a positive number and not -3\n"),
+        (["travel.csv", "--area", "3"], "is a displacement; give the specimen's unloaded height"),
+        (["travel.csv", "--area", "3", "--height", "0"], "height in mm, a positive number and no"),
         (["test.csv", "--plot", "fits.txt"], "fits.txt"),
         (["test.csv", "--output", "absent/fits.json"], "absent"),
         (["test.csv", "--output", "test.csv"], "test.csv"),
@@ -146,6 +150,9 @@ def test_unstable_fit_is_flagged_and_not_recommended(here, run, shared_data):
 def test_bad_input_is_named_and_nothing_written(here, run, arguments, message):
     write_test("test.csv")
     (here / "text.csv").write_text("strain,stress\n0,0\n-0.1,-1\nx,y\n-0.2,-2\n-0.3,-3\n-0.4,-4\n")
+    for name, strain in (("force", "strain"), ("travel", "displacement")):
+        rows = [f"{-0.1 * n},{-n}" for n in range(6)]
+        (here / f"{name}.csv").write_text("\n".join([f"{strain},force", *rows]))
     outputs = [] if {"--output", "--plot"} & set(arguments) else ["--output", "o.json"]
     before = {path.name: path.read_bytes() for path in here.iterdir()}
     status, out, err = run("material", *arguments, *outputs)

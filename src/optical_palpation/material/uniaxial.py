@@ -240,21 +240,14 @@ def read_uniaxial_test(
             )
         x = x * _STRAIN_UNITS[strain_unit or "fraction"]
     else:
-        if height is None or not height > 0.0:
-            raise InputError(
-                f"{path}: column {strain_name!r} is a displacement; give the specimen's unloaded "
-                f"height in mm (height = {height})"
-            )
+        where = f"{path}: column {strain_name!r} is a displacement"
+        height = _of_specimen(height, "height in mm", where)
         x = x * _LENGTH_UNITS[_unit(strain_name, _LENGTH_UNITS, path) or "mm"] / height
     if "stress" in _words(stress_name):
         stress_unit = _unit(stress_name, _STRESS_UNITS, path)
         y = y * _STRESS_UNITS[stress_unit or "kpa"]
     else:
-        if area is None or not area > 0.0:
-            raise InputError(
-                f"{path}: column {stress_name!r} is a force; give the specimen's unloaded area in "
-                f"mm2 (area = {area})"
-            )
+        area = _of_specimen(area, "area in mm2", f"{path}: column {stress_name!r} is a force")
         stress_unit = _unit(stress_name, _FORCE_UNITS, path)
         y = y * _FORCE_UNITS[stress_unit or "n"] / area
         found = "engineering"
@@ -278,6 +271,14 @@ def read_uniaxial_test(
     y = sign * np.sign(y[-1]) * y
     true_strain = found == "true" and is_strain
     return UniaxialTest(np.exp(x) if true_strain else 1.0 + x, y, found, path.name)
+
+
+def _of_specimen(given: float | None, what: str, where: str) -> float:
+    """Return a size of the specimen that a column needs, or refuse that it is missing."""
+    if given is None or not given > 0.0:
+        wrong = "" if given is None else f", a positive number and not {given:g}"
+        raise InputError(f"{where}; give the specimen's unloaded {what}{wrong}")
+    return given
 
 
 def _check_modulus(modulus: float, name: str, unit: str | None, path: Path) -> None:
