@@ -20,7 +20,15 @@ from optical_palpation.analysis import (
     write_regions,
 )
 from optical_palpation.errors import InputError
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation import algebraic_result
+from optical_palpation.present import summarise
 from optical_palpation.present.comparison import comparison_in_words
+from optical_palpation.present.report.content import key_figures
+from optical_palpation.present.summary import stress_figures
+from optical_palpation.present.tables import result_columns
+from optical_palpation.present.terms import plain, rounded
+from optical_palpation.thickness import thickness_map
 
 X, Y = 1.0 + 0.1 * np.arange(41), -0.5 + 0.05 * np.arange(61)
 
@@ -62,6 +70,35 @@ def test_mean_over_an_ellipse_on_a_slope_is_the_value_at_its_centre():
     assert float(found["standard_deviation"]) == pytest.approx(
         np.sqrt((0.8**2 + (3 * 0.4) ** 2) / 4), rel=0.02
     )
+
+
+def test_the_mean_of_a_result_is_that_of_a_region_all_over_it():
+    at = np.linspace(0.0, 2.0, 21)
+    grid_y, grid_x = np.meshgrid(at, at, indexing="ij")
+    loaded = thickness_map(0.4 + 0.05 * (grid_x - 1) ** 2 + 0.04 * (grid_y - 1) ** 4, x=at, y=at)
+    result = algebraic_result(loaded, 0.5, MooneyRivlin(2.23, 0.703))
+    stress = result.maps["axial_stress"]
+    result.maps["axial_stress_error"] = -0.1 * stress
+    mean = float(stress.integrate(["y", "x"])) / 4.0
+    assert abs(float(stress.mean()) - mean) > 0.02 * abs(mean)  # that of the points is another
+    whole = [Region.rectangle("all", 0.0, 2.0, 0.0, 2.0)]
+    assert float(region_statistics(result.maps, whole)["mean"][0]) == pytest.approx(mean)
+    result.maps["contact_state"] = xr.ones_like(stress, int)
+    result.maps.attrs |= {"window_force_mN": 11.0, "sample_force_mN": 11.0, "force_error_mN": 1.0}
+    row = result_columns(result)
+    assert row["mean_axial_stress_kPa"] == pytest.approx(mean)
+    assert row["algebraic_mean_axial_stress_kPa"] == pytest.approx(mean)
+    assert row["mean_axial_stress_error_kPa"] == pytest.approx(-0.1 * mean)
+    said = rounded(mean, -0.1 * mean)
+    assert stress_figures(result, "algebraic")[0] == said
+    assert f"mean {plain(said)} kPa" in summarise(result)
+    assert f"mean axial stress {plain(said)} kPa" in repr(result)
+    assert ("Mean stress, algebraic", f"{said} kPa") in key_figures(
+        result, loaded=None, unloaded=None
+    )
+    rest = region_statistics(result.maps, [Region.rectangle("m", 0.95, 1.05, 0.95, 1.05)])
+    less = float(stress.sel(x=1.0, y=1.0, method="nearest")) * 0.1**2
+    assert rest.attrs["background_mean"] == pytest.approx((4 * mean - less) / (4 - 0.1**2))
 
 
 def test_extremes_errors_gaps_and_contrast():

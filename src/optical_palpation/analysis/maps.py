@@ -38,6 +38,27 @@ def pixel_size(field: xr.DataArray) -> tuple[float, float]:
     return float(y[-1] - y[0]) / (y.size - 1), float(x[-1] - x[0]) / (x.size - 1)
 
 
+def point_areas(field: xr.DataArray) -> xr.DataArray:
+    """Area that each point of a map stands for on ``(y, x)``, mm2: what is nearest to it.
+
+    Of the outermost points only half lies in the map, of its corners a quarter.
+    """
+    y, x = (_widths(field[axis].values) for axis in "yx")
+    return xr.DataArray(np.outer(y, x), {"y": field["y"], "x": field["x"]}, ("y", "x"))
+
+
+def area_mean(field: xr.DataArray) -> float:
+    """Mean of a map over the area on which it has values, NaN where it has none."""
+    return float(field.weighted(point_areas(field)).mean())
+
+
+def _widths(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    if points.size == 1:  # of a single row or column, which has no width, all points count alike
+        return np.ones(1)
+    middles = 0.5 * (points[1:] + points[:-1])
+    return np.diff(np.concatenate([points[:1], middles, points[-1:]]))
+
+
 def plane_noise(field: xr.DataArray, mask: NDArray[np.bool_]) -> float:
     """Standard deviation about a plane of the pixels in a mask, in the unit of the map.
 

@@ -10,7 +10,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from optical_palpation.analysis.maps import check_map, pixel_size, plane_noise
+from optical_palpation.analysis.maps import (
+    area_mean,
+    check_map,
+    pixel_size,
+    plane_noise,
+    point_areas,
+)
 from optical_palpation.arguments import check_instance, explained, in_words, number, numbers
 from optical_palpation.errors import InputError
 
@@ -325,7 +331,7 @@ def region_statistics(
     if len(set(names)) < len(names):
         raise InputError(f"regions: names must differ, found {', '.join(names)}")
     field = check_map(maps[variable], variable)
-    areas = np.outer(_widths(field["y"].values), _widths(field["x"].values))
+    areas = point_areas(field).values
     weights = {region.name: region.weights(field).values for region in regions}
     error = _error(maps, variable)
     rows = []
@@ -373,12 +379,6 @@ _COLUMNS = {
     "area": ("mm2", "area"),
     "missing": ("1", "share without a value"),
 }
-
-
-def _widths(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Widths of the pixels along an axis, mm; of the outermost only half lies in the map."""
-    middles = 0.5 * (points[1:] + points[:-1])
-    return np.diff(np.concatenate([points[:1], middles, points[-1:]]))
 
 
 def _statistics(
@@ -446,4 +446,4 @@ def _background(
                 "needed"
             )
         return None
-    return float(field.values[mask].mean()), plane_noise(field, mask)
+    return area_mean(field.where(mask)), plane_noise(field, mask)

@@ -105,14 +105,14 @@ class StressResult:
     # imported where they are needed.
 
     def __repr__(self) -> str:
-        from optical_palpation.present.summary import force_error, mean_stress_error
+        from optical_palpation.present.summary import force_error, mean_stress, mean_stress_error
         from optical_palpation.present.terms import percent, plain, rounded
 
         stress = self.maps["axial_stress"]
         parts = [f"{' x '.join(map(str, stress.shape))} points"]
         if (force := self.maps.attrs.get("sample_force_mN")) is not None:
             parts.append(f"force {rounded(force, force_error(self.maps.attrs))} mN")
-        mean = rounded(stress.mean(), mean_stress_error(self.maps))
+        mean = rounded(mean_stress(self.maps), mean_stress_error(self.maps))
         parts.append(f"mean axial stress {mean} kPa")
         if "contact_state" in self.maps:
             touching = float(np.mean(self.maps["contact_state"].values != ContactState.OPEN))

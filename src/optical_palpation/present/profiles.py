@@ -33,7 +33,8 @@ _COLUMNS = {
 
 def on_layer(maps: xr.Dataset) -> xr.Dataset:
     """Return the part of the maps that the layer covers; maps may reach beyond it."""
-    extent = maps["loaded_thickness"].attrs.get("layer_extent")
+    thickness = maps.get("loaded_thickness")
+    extent = None if thickness is None else thickness.attrs.get("layer_extent")
     if extent is None:
         return maps
     x0, x1, y0, y1 = extent

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from optical_palpation.analysis.maps import area_mean
 from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.plausibility import SOFT_SAMPLE
 from optical_palpation.palpation.result import ContactState, Status, StressResult
@@ -82,13 +83,19 @@ def of_mesh_alone(attrs: Mapping[Hashable, Any]) -> bool:
     return force_error(attrs) is not None and "force_error_mN" not in attrs
 
 
+def mean_stress(maps: xr.Dataset, name: str = "axial_stress") -> float:
+    """Mean of the axial stress, or its error, over the area of the layer, kPa."""
+    return area_mean(on_layer(maps)[name])
+
+
 def mean_stress_error(maps: xr.Dataset) -> float | None:
     """Error of the mean axial stress, kPa, of inputs and mesh together; None where unknown."""
     attrs = maps.attrs
-    errors = [float(maps["axial_stress_error"].mean())] if "axial_stress_error" in maps else []
+    name = "axial_stress_error"
+    errors = [mean_stress(maps, name)] if name in maps else []
     if not has_bands(attrs) and attrs.get("sample_force_mN") and "force_mesh_error_mN" in attrs:
         share = attrs["force_mesh_error_mN"] / attrs["sample_force_mN"]
-        errors.append(share * float(maps["axial_stress"].mean()))
+        errors.append(share * mean_stress(maps))
     return float(np.hypot.reduce(np.nan_to_num(errors))) if errors else None
 
 
@@ -126,7 +133,7 @@ def mean_error(method: str, maps: xr.Dataset) -> float | None:
     if method == "computational":
         return mean_stress_error(maps)
     error = stress_error(method, maps)
-    return None if error is None else float(error.mean())
+    return None if error is None else area_mean(error)
 
 
 def stress_figures(result: StressResult, method: str) -> tuple[str, str, str]:
@@ -143,7 +150,7 @@ def stress_figures(result: StressResult, method: str) -> tuple[str, str, str]:
         return rounded(value, None if error is None else error.values.flat[place])
 
     first, lowest = at(np.percentile(values, 1)), at(values.min())
-    return rounded(values.mean(), mean_error(method, maps)), first, lowest
+    return rounded(area_mean(field), mean_error(method, maps)), first, lowest
 
 
 def mesh_error(attrs: Mapping[Hashable, Any]) -> str:

@@ -11,7 +11,12 @@ import xarray as xr
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic
 from optical_palpation.present.profiles import on_layer
-from optical_palpation.present.summary import force_error, mean_stress_error, of_mesh_alone
+from optical_palpation.present.summary import (
+    force_error,
+    mean_stress,
+    mean_stress_error,
+    of_mesh_alone,
+)
 from optical_palpation.present.terms import plain, rounded
 
 
@@ -84,7 +89,7 @@ def result_columns(result: StressResult) -> dict[str, Any]:
         row["force_error_mN"] = error
     for method, name in (("", "axial_stress"), ("algebraic_", "algebraic_axial_stress")):
         stress = maps[name].values
-        row[f"{method}mean_axial_stress_kPa"] = float(np.nanmean(stress))
+        row[f"{method}mean_axial_stress_kPa"] = mean_stress(maps, name)
         if complete and not method and (error := mean_stress_error(maps)) is not None:
             row["mean_axial_stress_error_kPa"] = error
         row[f"{method}first_percentile_axial_stress_kPa"] = float(np.nanpercentile(stress, 1))

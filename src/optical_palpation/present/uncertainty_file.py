@@ -6,6 +6,7 @@ from pathlib import Path
 
 import xarray as xr
 
+from optical_palpation.analysis.maps import area_mean
 from optical_palpation.files import netcdf
 from optical_palpation.present.output import atomic
 from optical_palpation.present.summary import INPUTS
@@ -51,9 +52,9 @@ def uncertainty_in_words(uncertainty: xr.Dataset) -> str:
     for name in uncertainty["input"].values:
         here = uncertainty.sel(input=name)
         of_force = rounded(here["force_contribution"], digits=2)
-        of_stress = rounded(here["contribution"].mean(), digits=2)
+        of_stress = rounded(area_mean(here["contribution"]), digits=2)
         words = INPUTS.get(str(name), str(name).replace("_", " "))
         lines.append(f"  {words}: ±{of_force} mN, ±{of_stress} kPa on average")
-    stress, error = (uncertainty[n].mean() for n in ("axial_stress", "axial_stress_error"))
+    stress, error = (area_mean(uncertainty[n]) for n in ("axial_stress", "axial_stress_error"))
     lines.append(f"axial stress on average {rounded(stress, error)} kPa")
     return plain("\n".join(lines))

@@ -26,6 +26,7 @@ from optical_palpation.present import read_result
 from optical_palpation.present.comparison import comparison_in_words
 from optical_palpation.present.summary import (
     force_error,
+    mean_stress,
     mean_stress_error,
     of_mesh_alone,
     of_unknown_sample,
@@ -265,7 +266,7 @@ def _in_words(result: StressResult) -> str:
     force = rounded(maps.attrs["sample_force_mN"], force_error(maps.attrs))
     error = mean_stress_error(maps)
     points = f"{stress.sizes['y']} x {stress.sizes['x']} points"
-    figures = f"force {force} mN, mean axial stress {rounded(stress.mean(), error)} kPa"
+    figures = f"force {force} mN, mean axial stress {rounded(mean_stress(maps), error)} kPa"
     figures += f"{' (± by the mesh alone)' * of_mesh_alone(maps.attrs)}, {points}"
     warnings = [*warnings_about(result), of_unknown_sample(maps)]
     return "\n".join([figures, *(f"Warning: {text}" for text in warnings if text)])

@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.analysis import Region, compare_results, region_statistics, traced
+from optical_palpation.analysis.maps import area_mean
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.figure import colour_map
 from optical_palpation.present.profiles import on_layer
@@ -389,7 +390,7 @@ def key_figures(
         alone = ", ± by the mesh alone" * of_mesh_alone(attrs)
         figures.append((f"Force on the sample{', 95 % band' * bands}{alone}", f"{force} mN"))
     for method, stress in methods(result).items():
-        mean = rounded(stress.mean(), mean_error(method, maps))
+        mean = rounded(area_mean(stress), mean_error(method, maps))
         figures.append((f"Mean stress, {method}", f"{mean} kPa"))
     figures += _sample_figures(maps)
     if "contact_state" in maps:  # the algebraic method computes none
