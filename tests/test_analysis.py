@@ -44,14 +44,24 @@ def test_force_of_a_paraboloid_of_pressure():
     assert balance.missing == 0.0
 
 
+def test_force_and_mean_of_a_slope_over_all_of_a_map():
+    y, x = grid(ny=5, nx=4)  # so few points that those at the rim count
+    stress = field(-(x**2 + 3 * y[:, None]), y, x)
+    balance = force_balance(stress)
+    force = -float(stress.integrate(["y", "x"]))
+    assert balance.force == pytest.approx(force)
+    assert balance.area == pytest.approx(x[-1] * y[-1])
+    assert balance.mean_stress == pytest.approx(force / (x[-1] * y[-1]))
+
+
 def test_load_cell_sees_the_whole_layer_and_the_map_a_part():
     stress = field(np.full((51, 41), -8.0))
     stress[:10] = np.nan
     balance = force_balance(stress, measured_force=250.0, layer_area=25.0)
     assert balance.mean_stress == pytest.approx(8.0)
-    assert balance.area == pytest.approx(41 * 41 * 0.05 * 0.04)
+    assert balance.area == pytest.approx(40.5 * 40 * 0.05 * 0.04)
     assert balance.force == pytest.approx(8.0 * balance.area)
-    assert balance.missing == pytest.approx(10 / 51)
+    assert balance.missing == pytest.approx(9.5 / 50)
     assert balance.expected_stress == pytest.approx(10.0)
     assert balance.relative_difference == pytest.approx(-0.2)
     with pytest.raises(InputError, match="positive"):
@@ -242,10 +252,10 @@ def test_systematic_errors_by_hand():
     np.testing.assert_allclose(contribution.sel(input="window_friction"), by_friction)
     np.testing.assert_allclose(contribution.sel(input="modulus"), by_modulus)
     np.testing.assert_allclose(out["axial_stress_error"], np.hypot(by_friction, by_modulus))
-    area = 0.05 * 0.04
-    expected = np.hypot(by_friction.sum(), by_modulus.sum()) * area
+    expected = np.hypot(*(part.integrate(["y", "x"]) for part in (by_friction, by_modulus)))
     assert out.attrs["force_error_mN"] == pytest.approx(float(expected))
-    assert out.attrs["force_mN"] == pytest.approx(20.0 * 78.0 * area)
+    area = 0.1 * 0.12  # over which the slope is 6.5 on average
+    assert out.attrs["force_mN"] == pytest.approx(20.0 * 6.5 * area)
     # Second difference 10 * 5 * 0.05^2 * 2 over twice the first, 10 * 6 * 0.05 * 2.
     np.testing.assert_allclose(
         out["nonlinearity"], [0.05**2 * 50.0 / (60.0 * 0.05), 0.0], atol=1e-9

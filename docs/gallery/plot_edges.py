@@ -33,6 +33,6 @@ limits = (float(min(r.maps["axial_stress"].min() for r in results.values())), 0)
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
 for ax, (edges, result) in zip(axes, results.items(), strict=True):
     result.plot(ax=ax, limits=limits)
-    mean = float(result.maps["axial_stress"].mean())
+    mean = -op.analysis.force_balance(result.maps["axial_stress"]).mean_stress
     ax.set_title(f"Axial stress (kPa), {edges}: {mean:.1f} on average", loc="left")
 figure.show()

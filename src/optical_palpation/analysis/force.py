@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from optical_palpation.analysis.maps import check_map, pixel_size
+from optical_palpation.analysis.maps import area_mean, check_map, point_areas
 from optical_palpation.errors import InputError
 
 
@@ -52,7 +52,8 @@ def force_balance(
     Parameters
     ----------
     axial_stress
-        Axial stress on ``(y, x)``, kPa, negative where pressed; each value stands for its pixel.
+        Axial stress on ``(y, x)``, kPa, negative where pressed; each value stands for the part
+        of the map that is nearest to its point.
     measured_force
         Reading of the load cell, mN, compression positive.
     layer_area
@@ -64,11 +65,10 @@ def force_balance(
         If the map cannot be used, or force or area are not positive.
     """
     stress = check_map(axial_stress, "axial_stress")
-    dy, dx = pixel_size(stress)
-    valid = np.isfinite(stress.values)
-    area = float(valid.sum()) * dy * dx
-    force = -float(stress.values[valid].sum()) * dy * dx
-    mean = force / area
+    areas = point_areas(stress)
+    area = float(areas.where(np.isfinite(stress)).sum())
+    mean = -area_mean(stress)
+    force = mean * area
     expected = difference = None
     if measured_force is not None:
         of = area if layer_area is None else layer_area
@@ -78,4 +78,4 @@ def force_balance(
             )
         expected = measured_force / of
         difference = mean / expected - 1.0
-    return ForceBalance(force, mean, area, float(1.0 - valid.mean()), expected, difference)
+    return ForceBalance(force, mean, area, 1.0 - area / float(areas.sum()), expected, difference)

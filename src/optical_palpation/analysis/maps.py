@@ -49,7 +49,7 @@ def point_areas(field: xr.DataArray) -> xr.DataArray:
 
 def area_mean(field: xr.DataArray) -> float:
     """Mean of a map over the area on which it has values, NaN where it has none."""
-    return float(field.weighted(point_areas(field)).mean())
+    return float(field.where(np.isfinite(field)).weighted(point_areas(field)).mean())
 
 
 def _widths(points: NDArray[np.float64]) -> NDArray[np.float64]:
