@@ -46,9 +46,9 @@ def recognises(path: Path, head: bytes) -> bool:
 
 def contents(path: Path, wanted: str | None) -> Contents:
     """Read the sidecar."""
-    sidecar = _sidecar(path)
-    assert sidecar is not None  # recognises() saw it
-    entries = _entries(sidecar)
+    found = _sidecar(path)
+    assert found is not None  # recognises() saw it
+    sidecar, entries = found
     if unknown := sorted(set(entries) - _KEYS):
         raise InputError(f"{sidecar}: unknown entries {unknown}; known: {sorted(_KEYS)}")
     if entries.get("dtype") not in _TYPES:
@@ -72,17 +72,17 @@ def contents(path: Path, wanted: str | None) -> Contents:
     return Contents.single(array, described(entries, str(sidecar)), "mapped")
 
 
-def _sidecar(path: Path) -> Path | None:
+def _sidecar(path: Path) -> tuple[Path, dict[str, Any]] | None:
+    """Find the sidecar and its entries.
+
+    Other programs, too, keep notes on ``map.csv`` in ``map.csv.json``.
+    """
     both = [path.with_name(path.name + suffix) for suffix in (".toml", ".json")]
-    found = [sidecar for sidecar in both if sidecar.is_file() and _is_ours(sidecar)]
+    read = [(sidecar, _entries(sidecar)) for sidecar in both if sidecar.is_file()]
+    found = [(sidecar, entries) for sidecar, entries in read if {"dtype", "shape"} & set(entries)]
     if len(found) > 1:
-        raise InputError(f"{path}: has two sidecars, {found[0].name} and {found[1].name}; keep one")
+        raise InputError(f"{path}: has two sidecars, {both[0].name} and {both[1].name}; keep one")
     return found[0] if found else None
-
-
-def _is_ours(sidecar: Path) -> bool:
-    """Other programs, too, keep notes on ``map.csv`` in ``map.csv.json``."""
-    return not _entries(sidecar).keys().isdisjoint(("dtype", "shape"))
 
 
 def _entries(sidecar: Path) -> dict[str, Any]:
