@@ -1167,7 +1167,11 @@ for what, options, answer in (
     ("a description of lines", {"description": "map 3\nunit: um\nfov: 3 mm"}, Read(MAP)),
     ("a long description", {"description": "Thickness map in um of sample 3"}, Read(MAP)),
     ("a description of an entry", {"description": "Thickness: um"}, Read(MAP)),
-    ("a description of pixels", {"description": "pixel size in um"}, Refused("give length_unit")),
+    (
+        "a description of pixels",
+        {"description": "pixel size in um"},
+        Refused("'pixel size in um' states um, perhaps .* give length_unit"),
+    ),
     ("a description of a pixel", {"description": "map\nunit = px"}, Refused("'px'")),
     (
         "a description of two units",

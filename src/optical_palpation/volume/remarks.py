@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 
 from .units import length_unit, split_unit
 
@@ -64,6 +65,15 @@ def units_of_remarks(remarks: Iterable[str]) -> tuple[set[str], dict[str, str]]:
                 ):
                     unclear[unit] = remark.strip()
     return stated, unclear
+
+
+def unclear_unit(path: Path, unclear: Mapping[str, str]) -> str:
+    """Say that the thickness may have the unit of a comment, or not; `unclear` has at least one."""
+    unit, said = next(iter(unclear.items()))
+    return (
+        f"{path}: {said[:80]!r} states {unit}, perhaps for the positions only or for something "
+        "else; give length_unit, the unit of the thickness"
+    )
 
 
 def _units(clause: str) -> Iterator[tuple[str, str]]:

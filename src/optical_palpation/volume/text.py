@@ -20,7 +20,7 @@ from ..errors import InputError
 from .arrays import LazyArray
 from .contents import Contents
 from .metadata import Stated
-from .remarks import units_of_remarks
+from .remarks import unclear_unit, units_of_remarks
 from .units import length_unit, split_unit, unit_in_words
 
 FORMAT = "text"
@@ -220,11 +220,7 @@ def _stated_unit(
         )
     if stated or not unclear:
         return next(iter(stated), None), None
-    unit, said = next(iter(unclear.items()))
-    return None, (
-        f"{path}: {said[:80]!r} states {unit}, perhaps for the positions only or for something "
-        "else; give length_unit, the unit of the thickness, or add a comment '# units: mm', or um"
-    )
+    return None, f"{unclear_unit(path, unclear)}, or add a comment '# units: mm', or um"
 
 
 def _unit_of(name: str) -> tuple[str | None, bool]:

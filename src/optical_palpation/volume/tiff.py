@@ -33,7 +33,7 @@ from .arrays import (
 from .cf import Decoded
 from .contents import Contents, Variable
 from .metadata import Access, Stated, parse_xml
-from .remarks import units_of_remarks
+from .remarks import unclear_unit, units_of_remarks
 from .units import length_unit, to_mm
 
 FORMAT = "TIFF"
@@ -252,10 +252,7 @@ def _contents(path: Path, file: Any) -> Contents:
     found = Variable(array.shape, array.dtype, lambda: array, access, attrs=attrs, stated=stated)
     contents = Contents({"": found}, file.close)
     if unclear:
-        contents.unclear_unit = (
-            f"{path}: its description states {', '.join(sorted(unclear))}, perhaps of something "
-            "else than the thickness; give length_unit"
-        )
+        contents.unclear_unit = unclear_unit(path, unclear)
     return contents
 
 
