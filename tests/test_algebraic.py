@@ -149,6 +149,15 @@ def test_a_small_punch_may_leave_most_of_the_layer_thicker():
     match_initial_thickness(0.5, noise)
 
 
+def test_a_computed_imprint_may_say_how_far_the_sample_is_from_a_flat_layer():
+    sphere = flat(0.9, 0.8, 0.6, 0.45, 0.4, 0.45, 0.6, 0.8, 0.9)
+    assert match_initial_thickness(0.5, sphere).attrs["no_contact_share"] == pytest.approx(2 / 3)
+    # but not from a layer that shows the sphere before it is loaded: the two are swapped
+    before = flat(0.4, 0.42, 0.45, 0.51, pixel_spacing=(1.0, 1.0))
+    with pytest.raises(InputError, match="are the two swapped"):
+        match_initial_thickness(before, flat(0.5, 0.5, 0.5, 0.5, pixel_spacing=(1.0, 1.0)))
+
+
 @pytest.mark.parametrize(
     ("loaded", "initial", "message"),
     [
