@@ -8,7 +8,8 @@ A map is rough, stepped, wavy, tilted, flat or bumpy, or shows a sphere, needles
 of punches; it may have holes that the sample does not reach, and presses the layer by up to half of
 its thickness, a sphere up to 60 %. The layer is 0.1 to 2 mm thick and from a few thicknesses to 50
 wide, up to four times as long as wide, unloaded flat or not. Friction is 0 to 1 on either face,
-K/mu 20 to 1e5, edges free, padded or rollers. Each map follows from its number alone.
+K/mu 20 to 1e5, edges free, padded or rollers, elements 8,000 at most. Each map follows from its
+number alone.
 """
 
 from __future__ import annotations
@@ -31,12 +32,14 @@ from scipy.ndimage import gaussian_filter
 
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics.grid import depth_positions, edge_width, node_positions
 from optical_palpation.palpation import (
     InputErrors,
     Progress,
     StressResult,
     computational_stress,
 )
+from optical_palpation.palpation.meshing import PADDING, padded_nodes
 from optical_palpation.thickness import thickness_map
 
 RELIEFS = (
@@ -50,8 +53,8 @@ RELIEFS = (
     "needles",
     "checkerboard",
 )
-#: Elements of a problem, at the most; free edges are refined beyond that.
-MOST_ELEMENTS = 6000
+#: Elements of a problem, at the most: without those that edges add, and with them.
+MOST_ELEMENTS, MOST_WITH_EDGES = 6000, 8000
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,19 @@ class Case:
     field: tuple[float, float]
     #: Whether the influence of the sides and the error bands are found, too.
     estimates: bool = True
+
+    def elements(self) -> int:
+        """How many elements the layer has, those that its edges add too."""
+        free = self.edges == "free"
+        depth = depth_positions(self.element_size[2] / self.thickness, free)
+        edge = edge_width(depth, self.thickness) if free else None
+        lateral = [
+            node_positions(length, size, edge=edge)
+            for length, size in zip(self.field, self.element_size[:2], strict=True)
+        ]
+        if self.edges == "padded":
+            lateral = [padded_nodes(nodes, PADDING * self.thickness) for nodes in lateral]
+        return int(np.prod([len(nodes) - 1 for nodes in (depth, *lateral)]))
 
     def maps(self) -> tuple[xr.DataArray, xr.DataArray]:
         """Loaded and unloaded thickness, mm."""
@@ -124,7 +140,7 @@ def random_case(number: int) -> Case:
     across = np.sqrt(MOST_ELEMENTS * rng.uniform(0.15, 1.0) / deep)
     # no flatter than 1 : 10, no slenderer than 1 : 1.5
     size = np.clip(np.sqrt(width * length) / across, thickness / deep / 1.5, 10 * thickness / deep)
-    return Case(
+    case = Case(
         number=number,
         relief=kind,
         holes=bool(rng.random() < 0.25),
@@ -138,6 +154,10 @@ def random_case(number: int) -> Case:
         element_size=(*(size * rng.uniform(0.8, 1.25, 2)).tolist(), thickness / deep),
         field=(float(width), float(length)),
     )
+    while case.elements() > MOST_WITH_EDGES:
+        x, y, z = case.element_size
+        case = replace(case, element_size=(1.1 * x, 1.1 * y, z))
+    return case
 
 
 def _friction(rng) -> float:

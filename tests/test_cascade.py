@@ -1,5 +1,8 @@
 """From grid to grid."""
 
+from itertools import pairwise
+from unittest import mock
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -14,6 +17,7 @@ from optical_palpation.mechanics.grid import (
     EDGE,
     LayerGrid,
     depth_positions,
+    edge_width,
     graded_depths,
     node_positions,
 )
@@ -90,6 +94,23 @@ def test_every_grid_leads_down_to_a_small_one(count, depth, field, edges):
         assert np.all(np.diff(level.grid.x) > 0)
         assert_allclose(level.grid.x[[0, -1]], [0, field], atol=1e-12)
         assert_allclose(level.grid.thickness, 0.5)
+
+
+@given(count=st.integers(2, 20), long=st.floats(1, 5), deep=st.integers(1, 8))
+@settings(max_examples=60, deadline=None)
+def test_grids_of_which_most_elements_are_at_free_edges_end(count, long, deep):
+    field, thickness = 4.5, 0.14
+    depth = depth_positions(1 / deep, True)
+    edge = edge_width(depth, thickness)
+    x = node_positions(field, field / count, edge=edge)
+    y = node_positions(long * field, field / count, edge=edge)
+    layer = LayerGrid(x, y, depth, np.full((len(y), len(x)), thickness))
+    flat = np.full((9, 9), thickness)
+    imprint = Imprint(np.linspace(0, field, 9), np.linspace(0, long * field, 9), flat, 0.9 * flat)
+    problem = LayerProblem(layer, imprint, MooneyRivlin(2.2, 0.7), (0.1, 0.1))
+    with mock.patch.object(cascade, "_PATH_ELEMENTS", (100, 16000)):
+        counts = [level.grid.n_elements for level in grids(problem)]
+    assert all(fewer < 0.6 * many for many, fewer in pairwise(counts))
 
 
 def test_interpolation_is_smoother_than_straight_lines():

@@ -39,6 +39,8 @@ _COARSER, _ON_THE_WAY = 100.0, 300.0
 #: take longer than the finest. Below the first number that is not worth while; beyond the second,
 #: where a path begins does not change the result.
 _PATH_SHARE, _PATH_ELEMENTS = 1 / 6, (3000, 16000)
+#: Share of a grid's elements that the next coarser one may have, or it is not worth while.
+_FEWER = 0.55
 #: Elements (z, y, x) from which on a grid is made coarser along an axis.
 _HALVED = (4, 6, 6)
 #: Share of the contact forces that may be out of balance in a layer carried to another grid. Beyond
@@ -85,7 +87,10 @@ def grids(problem: LayerProblem) -> list[LayerProblem]:
     few = np.clip(_PATH_SHARE * problem.grid.n_elements, *_PATH_ELEMENTS)
     levels = [problem]
     while levels[-1].grid.n_elements > few and min(levels[-1].grid.shape[1:]) >= 12:
-        levels.append(coarsened(levels[-1]))
+        coarse = coarsened(levels[-1])
+        if coarse.grid.n_elements > _FEWER * levels[-1].grid.n_elements:
+            break  # most elements are those of the free edges, which stay
+        levels.append(coarse)
     return levels
 
 
