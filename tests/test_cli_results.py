@@ -276,6 +276,10 @@ def test_one_key_has_one_value(here, run, told):
     status, _, err = run("run", "study.toml", *changes, "--set", "friction.window =0.3")
     assert (status, told) == (2, [])
     assert "--set friction.window: is given more than once" in err
+    for option, key in ("--output", "outputs.folder"), ("--threads", "grid.threads"):
+        status, _, err = run("run", "study.toml", option, "1", "--set", f"{key} = 2")
+        assert (status, told) == (2, [])
+        assert f"{option} and --set {key} say the same" in err
 
 
 def test_several_studies_are_run_and_one_that_fails_does_not_stop_the_rest(here, run, told):

@@ -76,6 +76,12 @@ def run(
         if name in values:
             raise typer.BadParameter(f"--set {name}: is given more than once")
         values[name] = value
+    for option, key, asked_for in (
+        ("--output", "outputs.folder", output),
+        ("--threads", "grid.threads", threads),
+    ):
+        if asked_for is not None and key in values:
+            raise typer.BadParameter(f"{option} and --set {key} say the same: leave one out")
     studies = []
     for file in files:  # all are read before the first is run
         given = _with_folder(values, file)
