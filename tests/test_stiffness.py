@@ -21,6 +21,7 @@ from optical_palpation.palpation import InputErrors, computational_stress
 from optical_palpation.present import read_result, summarise, write_result
 from optical_palpation.stiffness import Sample, sample_stress
 from optical_palpation.stiffness.forward import Columns, Model, Pressed, Sought
+from optical_palpation.stiffness.inversion import first
 from optical_palpation.stiffness.measurement import ThicknessSurface
 from optical_palpation.stiffness.sample import check_sample
 from optical_palpation.thickness import clean_thickness, thickness_map
@@ -539,3 +540,17 @@ def test_surface_goes_straight_on_where_the_rim_was_not_measured():
     np.testing.assert_array_equal(covered, np.isfinite(thickness.values).ravel())
     assert off[covered].max() < 2e-4
     assert not surface.covers(np.array([-0.001, 4.001]), np.array([1.0, 1.0])).any()
+
+
+@pytest.mark.parametrize("last", range(18))
+def test_the_first_number_is_found_sooner_from_near_it(last):
+    for true, guess in np.ndindex(last + 1, last + 2):
+        asked = []
+
+        def holds(number, true=true, asked=asked):
+            asked.append(number)
+            return number >= true
+
+        assert first(holds, last, guess) == true
+        assert all(0 <= number < last for number in asked)
+        assert len(asked) <= {0: 2, 1: 3}.get(abs(guess - true), 7)

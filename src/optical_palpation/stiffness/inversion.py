@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve, lapack
 from scipy.ndimage import gaussian_filter
 
 from optical_palpation.mechanics.path import LoadNotReached
@@ -238,6 +238,8 @@ class _Search:
         #: Standard deviation of each measured surface at a node.
         self.noise = np.array([m.noise / np.sqrt(m.pixels) for m in measured])[:, None, None]
         self.solutions: list[tuple[int, float]] = []
+        #: Number of the last alpha.
+        self.weakness = len(_ALPHAS) // 2
         travels = unknown * len(measured)
         #: Brings what is sought to the parameters of the coarse mesh at each load.
         self.expand = [coarse.derivatives(relief, travels, n) for n in range(len(measured))]
@@ -309,7 +311,7 @@ class _Search:
         weight = self._weight(pressed, tolerance)
         system = self._system(jacobian, sensitivities, misfit, weight, pressed)
         _, alpha, normal = self._step(system, row)
-        covariance = np.asarray(np.linalg.inv(normal), dtype=float)
+        covariance = _inverse(normal)
         return Estimate(
             sought=self.order.read(row),
             order=self.order,
@@ -424,16 +426,17 @@ class _Search:
         else:
             found = solved(_ALPHAS[-1])
             target = max(1.0, _NEAR_LEAST * found[1], float(np.hypot(found[1], unknown)))
-            # The weaker, the less is left: the first that is weak enough, by bisection.
-            low, high = 0, len(_ALPHAS) - 1
-            while low < high:
-                middle = (low + high) // 2
-                tried = solved(_ALPHAS[middle])
+
+            def weak_enough(number: int) -> bool:
+                nonlocal found
+                tried = solved(_ALPHAS[number])
                 if tried[1] <= target:
-                    found, high = tried, middle
-                else:
-                    low = middle + 1
-            alpha = _ALPHAS[high]
+                    found = tried
+                return tried[1] <= target
+
+            # The weaker, the less is left. An alpha is mostly that of the step before.
+            self.weakness = first(weak_enough, len(_ALPHAS) - 1, self.weakness)
+            alpha = _ALPHAS[self.weakness]
             step, _, matrix = found
         largest = np.full(len(row), _LARGEST)
         largest[order.of_relief] = _HIGHEST * self.thickness
@@ -442,8 +445,36 @@ class _Search:
         return np.clip(step, -largest, largest), float(alpha), matrix
 
 
+def first(holds: Callable[[int], bool], last: int, guess: int) -> int:
+    """Return the first number that something holds for, as for all after it up to ``last``.
+
+    That it holds for the last one is known. Where the guess is right it is asked twice at the most,
+    where the guess is off by one three times; then bisection goes on.
+    """
+    low, high, number = 0, last, min(guess, last - 1)
+    asked = 0
+    while low < high:
+        asked += 1
+        if holds(number):
+            high = number
+            beside = high - 1
+        else:
+            low = beside = number + 1
+        number = beside if low <= beside and asked <= 2 else (low + high) // 2
+    return high
+
+
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverse of a symmetric positive definite matrix."""
+    upper, _ = cho_factor(matrix)
+    half, failed = lapack.dpotri(upper)
+    if failed:
+        raise np.linalg.LinAlgError("the matrix is singular")
+    return np.asarray(np.triu(half) + np.triu(half, 1).T, dtype=float)
 
 
 def _roughness(columns: Columns, stiffness: Array, thickness: float) -> Array:
