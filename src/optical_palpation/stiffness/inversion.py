@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, cho_factor, cho_solve, lapack
+from scipy.linalg import cho_factor, cho_solve, lapack
 from scipy.ndimage import gaussian_filter
 
 from optical_palpation.mechanics.path import LoadNotReached
@@ -238,6 +238,7 @@ class _Search:
         #: Standard deviation of each measured surface at a node.
         self.noise = np.array([m.noise / np.sqrt(m.pixels) for m in measured])[:, None, None]
         self.solutions: list[tuple[int, float]] = []
+        self._kept: tuple[_System, Array] | None = None
         #: Number of the last alpha.
         self.weakness = len(_ALPHAS) // 2
         travels = unknown * len(measured)
@@ -389,6 +390,22 @@ class _Search:
         by_force = np.stack([s.force for s in sensitivities]) / tolerance[:, None]
         return _System(jacobian, misfit, weight, by_force, off)
 
+    def _normal(self, system: _System, weighted: Array) -> Array:
+        """Return the matrix of the normal equations without smoothing.
+
+        On the fine mesh it is mostly that of the step before.
+        """
+        kept = self._kept
+        if (
+            kept is None
+            or kept[0].jacobian is not system.jacobian
+            or not np.array_equal(kept[0].weight, system.weight)
+            or not np.array_equal(kept[0].by_force, system.by_force)
+        ):
+            normal = weighted.T @ weighted + system.by_force.T @ system.by_force
+            kept = self._kept = system, normal
+        return kept[1]
+
     def _step(
         self, system: _System, row: Array, unknown: float = 0.0
     ) -> tuple[Array, float, Array]:
@@ -398,25 +415,27 @@ class _Search:
         """
         sought, order = self.order.read(row), self.order
         weighted = system.weight.reshape(-1, 1) * system.jacobian
+        normal = self._normal(system, weighted)
         left = (system.weight * system.misfit).ravel()
-        normal = weighted.T @ weighted + system.by_force.T @ system.by_force
         rhs = -weighted.T @ left - system.by_force.T @ system.off
         # in units of what the data say of each kind
-        parts, units, held = [], [], np.zeros(len(row))
+        parts, held = [], np.zeros(len(row))
         rough = [(order.of_stiffness, _roughness(order.columns, sought.stiffness, self.thickness))]
         if sought.relief is not None:
             rough.append((order.of_relief, _slopes(order.columns)))
-        for place, matrix in rough:
+        for place, squares in rough:
             known = float(np.trace(normal[place, place]))
-            units.append(known / np.trace(matrix))
-            parts.append(units[-1] * matrix)
-            held[place] = 1e-9 * known / len(matrix)
+            parts.append(known / float(squares.trace()) * squares)
+            held[place] = 1e-9 * known / squares.shape[0]
         held[order.of_travels] = held[0]
-        smooth = block_diag(*parts, np.zeros((len(row) - order.of_relief.stop,) * 2))
+        beyond = len(row) - order.of_relief.stop
+        smooth = sp.csr_matrix(sp.block_diag([*parts, sp.csr_matrix((beyond, beyond))]))
         uneven = smooth @ row
 
         def solved(alpha: float) -> tuple[Array, float, Array]:
-            matrix = normal + alpha * smooth + np.diag(held)
+            added = sp.coo_matrix(alpha * smooth + sp.diags_array(held))
+            matrix = normal.copy()
+            matrix[added.row, added.col] += added.data
             step = cho_solve(cho_factor(matrix), rhs - alpha * uneven)
             return step, _rms(left + weighted @ step), matrix
 
@@ -477,7 +496,7 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(np.triu(half) + np.triu(half, 1).T, dtype=float)
 
 
-def _roughness(columns: Columns, stiffness: Array, thickness: float) -> Array:
+def _roughness(columns: Columns, stiffness: Array, thickness: float) -> sp.csr_matrix:
     """D^T D: squares of the slopes of stiffness, edges that are there already counting less."""
     whole = []
     for axis, borders in enumerate((columns.y, columns.x)):
@@ -486,10 +505,10 @@ def _roughness(columns: Columns, stiffness: Array, thickness: float) -> Array:
         edge = 1 / np.sqrt(1 + (slope * thickness / _STEEP) ** 2)
         whole.append(sp.diags_array(np.sqrt(edge.ravel())) @ _differences(pitch, axis, edge.shape))
     matrix = sp.csr_matrix(sp.vstack(whole))
-    return (matrix.T @ matrix).toarray()
+    return sp.csr_matrix(matrix.T @ matrix)
 
 
-def _slopes(columns: Columns) -> Array:
+def _slopes(columns: Columns) -> sp.csr_matrix:
     """D^T D: squares of the slopes of heights at the corners."""
     ny, nx = columns.corners
     matrix = sp.csr_matrix(
@@ -500,7 +519,7 @@ def _slopes(columns: Columns) -> Array:
             ]
         )
     )
-    return (matrix.T @ matrix).toarray()
+    return sp.csr_matrix(matrix.T @ matrix)
 
 
 def _differences(pitch: Array, axis: int, shape: tuple[int, ...]) -> sp.csr_matrix:
