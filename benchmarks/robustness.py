@@ -32,14 +32,13 @@ from scipy.ndimage import gaussian_filter
 
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.mechanics.grid import depth_positions, edge_width, node_positions
 from optical_palpation.palpation import (
     InputErrors,
     Progress,
     StressResult,
     computational_stress,
 )
-from optical_palpation.palpation.meshing import PADDING, padded_nodes
+from optical_palpation.palpation.meshing import layer_nodes
 from optical_palpation.thickness import thickness_map
 
 RELIEFS = (
@@ -78,16 +77,9 @@ class Case:
 
     def elements(self) -> int:
         """How many elements the layer has, those that its edges add too."""
-        free = self.edges == "free"
-        depth = depth_positions(self.element_size[2] / self.thickness, free)
-        edge = edge_width(depth, self.thickness) if free else None
-        lateral = [
-            node_positions(length, size, edge=edge)
-            for length, size in zip(self.field, self.element_size[:2], strict=True)
-        ]
-        if self.edges == "padded":
-            lateral = [padded_nodes(nodes, PADDING * self.thickness) for nodes in lateral]
-        return int(np.prod([len(nodes) - 1 for nodes in (depth, *lateral)]))
+        extent = 0.0, self.field[0], 0.0, self.field[1]
+        axes = layer_nodes(extent, self.thickness, self.element_size, self.edges)
+        return int(np.prod([len(nodes) - 1 for nodes in axes]))
 
     def maps(self) -> tuple[xr.DataArray, xr.DataArray]:
         """Loaded and unloaded thickness, mm."""

@@ -76,20 +76,19 @@ def run(
         if name in values:
             raise typer.BadParameter(f"--set {name}: is given more than once")
         values[name] = value
+    options: dict[str, Any] = {}
     for option, key, asked_for in (
-        ("--output", "outputs.folder", output),
+        ("--output", "outputs.folder", None if output is None else str(output.resolve())),
         ("--threads", "grid.threads", threads),
     ):
-        if asked_for is not None and key in values:
+        if asked_for is None:
+            continue
+        if key in values:
             raise typer.BadParameter(f"{option} and --set {key} say the same: leave one out")
+        options[key] = asked_for
     studies = []
     for file in files:  # all are read before the first is run
-        given = _with_folder(values, file)
-        if output is not None:
-            given["outputs.folder"] = str(output.resolve())
-        if threads is not None:
-            given["grid.threads"] = threads
-        studies.append(read_study(file, given))
+        studies.append(read_study(file, _with_folder(values, file) | options))
     folders = [asked.folder.resolve() for asked in studies]
     for k, folder in enumerate(folders):
         if folder in folders[:k]:

@@ -54,12 +54,7 @@ def layer_problem(
     imprint = Imprint(x, y, *values)
     if smoothing > 0:
         imprint = imprint.smoothed(smoothing)
-    depth = depth_positions(sizes[2] / thickness, edges == "free")
-    edge = edge_width(depth, thickness) if edges == "free" else None
-    nodes_x = node_positions(x1 - x0, sizes[0], x0, edge=edge)
-    nodes_y = node_positions(y1 - y0, sizes[1], y0, edge=edge)
-    if edges == "padded":
-        nodes_x, nodes_y = (padded_nodes(n, PADDING * thickness) for n in (nodes_x, nodes_y))
+    depth, nodes_y, nodes_x = layer_nodes((x0, x1, y0, y1), thickness, sizes, edges)
     unloaded = imprint.evaluate(*np.meshgrid(nodes_x, nodes_y), 0.0)[0]
     glued = held["window"] == "glued", held["sample"] == "glued"
     window, sample = (0.0 if hold == "glued" else hold for hold in (held["window"], held["sample"]))
@@ -72,6 +67,26 @@ def layer_problem(
         slip_length=slip_length,
         glued=glued,
     )
+
+
+def layer_nodes(
+    extent: tuple[float, float, float, float],
+    thickness: float,
+    sizes: tuple[float, float, float],
+    edges: Edges,
+) -> tuple[Array, Array, Array]:
+    """Nodes of a layer along depth, as fractions of it, and along y and x, mm.
+
+    ``extent`` is x0, x1, y0, y1, ``sizes`` are those of the elements along x, y and z; all in mm.
+    """
+    x0, x1, y0, y1 = extent
+    depth = depth_positions(sizes[2] / thickness, edges == "free")
+    edge = edge_width(depth, thickness) if edges == "free" else None
+    x = node_positions(x1 - x0, sizes[0], x0, edge=edge)
+    y = node_positions(y1 - y0, sizes[1], y0, edge=edge)
+    if edges == "padded":
+        x, y = (padded_nodes(nodes, PADDING * thickness) for nodes in (x, y))
+    return depth, y, x
 
 
 def _uniform(positions: Array) -> Array:

@@ -238,6 +238,7 @@ class _Search:
         #: Standard deviation of each measured surface at a node.
         self.noise = np.array([m.noise / np.sqrt(m.pixels) for m in measured])[:, None, None]
         self.solutions: list[tuple[int, float]] = []
+        #: The last system, and its normal equations without smoothing.
         self._kept: tuple[_System, Array] | None = None
         #: Number of the last alpha.
         self.weakness = len(_ALPHAS) // 2
@@ -311,8 +312,8 @@ class _Search:
         _, row, pressed, misfit = best
         weight = self._weight(pressed, tolerance)
         system = self._system(jacobian, sensitivities, misfit, weight, pressed)
-        _, alpha, normal = self._step(system, row)
-        covariance = _inverse(normal)
+        _, alpha, factor = self._step(system, row)
+        covariance = _inverse(factor)
         return Estimate(
             sought=self.order.read(row),
             order=self.order,
@@ -408,8 +409,8 @@ class _Search:
 
     def _step(
         self, system: _System, row: Array, unknown: float = 0.0
-    ) -> tuple[Array, float, Array]:
-        """Return the step, alpha and the matrix of the normal equations.
+    ) -> tuple[Array, float, tuple[Array, bool]]:
+        """Return the step, alpha and the Cholesky factor of the normal equations.
 
         ``unknown`` is what the linear model does not know of what a step leaves.
         """
@@ -432,16 +433,17 @@ class _Search:
         smooth = sp.csr_matrix(sp.block_diag([*parts, sp.csr_matrix((beyond, beyond))]))
         uneven = smooth @ row
 
-        def solved(alpha: float) -> tuple[Array, float, Array]:
+        def solved(alpha: float) -> tuple[Array, float, tuple[Array, bool]]:
             added = sp.coo_matrix(alpha * smooth + sp.diags_array(held))
             matrix = normal.copy()
             matrix[added.row, added.col] += added.data
-            step = cho_solve(cho_factor(matrix), rhs - alpha * uneven)
-            return step, _rms(left + weighted @ step), matrix
+            factor = cho_factor(matrix)
+            step = cho_solve(factor, rhs - alpha * uneven)
+            return step, _rms(left + weighted @ step), factor
 
         if self.smoothing is not None:
             alpha = self.smoothing
-            step, _, matrix = solved(alpha)
+            step, _, factor = solved(alpha)
         else:
             found = solved(_ALPHAS[-1])
             target = max(1.0, _NEAR_LEAST * found[1], float(np.hypot(found[1], unknown)))
@@ -456,12 +458,12 @@ class _Search:
             # The weaker, the less is left. An alpha is mostly that of the step before.
             self.weakness = first(weak_enough, len(_ALPHAS) - 1, self.weakness)
             alpha = _ALPHAS[self.weakness]
-            step, _, matrix = found
+            step, _, factor = found
         largest = np.full(len(row), _LARGEST)
         largest[order.of_relief] = _HIGHEST * self.thickness
         if order.travels:
             largest[order.of_travels] = _FARTHEST * np.array(sought.travels)
-        return np.clip(step, -largest, largest), float(alpha), matrix
+        return np.clip(step, -largest, largest), float(alpha), factor
 
 
 def first(holds: Callable[[int], bool], last: int, guess: int) -> int:
@@ -487,10 +489,9 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _inverse(matrix: Array) -> Array:
-    """Inverse of a symmetric positive definite matrix."""
-    upper, _ = cho_factor(matrix)
-    half, failed = lapack.dpotri(upper)
+def _inverse(factor: tuple[Array, bool]) -> Array:
+    """Inverse of the matrix of which this is the (upper) Cholesky factor."""
+    half, failed = lapack.dpotri(factor[0])
     if failed:
         raise np.linalg.LinAlgError("the matrix is singular")
     return np.asarray(np.triu(half) + np.triu(half, 1).T, dtype=float)

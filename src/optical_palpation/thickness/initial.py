@@ -79,9 +79,10 @@ def match_initial_thickness(
     measured = inside & np.isfinite(loaded.values)
     if not measured.any():
         raise InputError("the loaded thickness is missing everywhere in the layer")
-    check_depth(float(np.median(values)), "initial thickness")
+    depth = float(np.median(values))
+    check_depth(depth, "initial thickness")
     check_depth(float(loaded.values[measured].max()), "loaded thickness")
-    _check_units(loaded, float(np.median(loaded.values[measured])), float(np.median(values)))
+    _check_units(loaded, float(np.median(loaded.values[measured])), depth)
     share = 0.0 if glued else float(np.mean(loaded.values[measured] >= values[measured]))
     if share == 1.0:
         raise InputError(
@@ -91,7 +92,6 @@ def match_initial_thickness(
         )
     rise = loaded.values[measured] - values[measured]
     typical, pressed = float(np.median(rise)), -float(np.percentile(rise, 1))
-    depth = float(np.median(values))
     # An imprint that is computed may say how far the sample is from a flat layer where the two do
     # not touch; it presses the layer elsewhere.
     uneven = _spread(values[measured]) > 0.5 * _spread(loaded.values[measured])
