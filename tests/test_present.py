@@ -31,6 +31,7 @@ from optical_palpation.present import (
 from optical_palpation.present.figure import new_figure
 from optical_palpation.present.output import atomic, check_writable
 from optical_palpation.present.panel import draw_panel
+from optical_palpation.present.tables import result_columns
 
 X = np.linspace(0, 5, 11)
 Y = np.linspace(-1, 3, 9)
@@ -338,7 +339,9 @@ def test_summary_tells_forces_stress_and_contact():
     mean = float(maps["axial_stress"].integrate(["y", "x"])) / area
     assert f"mean {mean:.3g} kPa" in text
     assert f"{float(maps['axial_stress'].min()):.3g} kPa" in text
-    assert "open 18 %" in text  # 2 of 11 columns
+    assert "open 15 %" in text  # from the border to between two points: 0.75 of 5 mm
+    assert "in contact 85 %" in repr(example())
+    assert result_columns(example())["in_contact_fraction"] == pytest.approx(0.85)
     assert "WARNING" not in text
     result = example()
     result.maps.attrs["volume_change_percent"] = -14.2

@@ -161,6 +161,7 @@ def test_with_changes_some_keys_and_leaves_the_study_as_it_is():
     assert second.parameters == third.parameters
     assert second.parameters["friction"] == {"window": 0.3, "sample": 0.05}
     assert first.parameters["friction"]["window"] == 0.15
+    assert "unloaded 0.5 mm; loaded a map in memory;" in repr(first)
     assert first.with_(unloaded=0.45).parameters["unloaded"] == {"thickness": 0.45}
     assert first.with_({"grid.edges": None}).parameters == first.parameters
 

@@ -48,7 +48,8 @@ def point_areas(field: xr.DataArray) -> xr.DataArray:
 
 
 def area_mean(field: xr.DataArray) -> float:
-    """Mean of a map over the area on which it has values, NaN where it has none."""
+    """Mean of a map, or share of a mask, over the area on which it has values; NaN without any."""
+    field = field.astype(float)
     return float(field.where(np.isfinite(field)).weighted(point_areas(field)).mean())
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import xarray as xr
 
 from optical_palpation.arguments import check_instance, explained, in_words
@@ -105,7 +104,12 @@ class StressResult:
     # imported where they are needed.
 
     def __repr__(self) -> str:
-        from optical_palpation.present.summary import force_error, mean_stress, mean_stress_error
+        from optical_palpation.present.summary import (
+            force_error,
+            mean_stress,
+            mean_stress_error,
+            touching_share,
+        )
         from optical_palpation.present.terms import percent, plain, rounded
 
         stress = self.maps["axial_stress"]
@@ -115,8 +119,7 @@ class StressResult:
         mean = rounded(mean_stress(self.maps), mean_stress_error(self.maps))
         parts.append(f"mean axial stress {mean} kPa")
         if "contact_state" in self.maps:
-            touching = float(np.mean(self.maps["contact_state"].values != ContactState.OPEN))
-            parts.append(f"in contact {percent(touching)}")
+            parts.append(f"in contact {percent(touching_share(self.maps))}")
         method = self.maps.attrs.get("method", "unknown method")
         return plain(f"<StressResult, {method}: {', '.join(parts)}>")
 

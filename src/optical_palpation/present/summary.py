@@ -88,6 +88,16 @@ def mean_stress(maps: xr.Dataset, name: str = "axial_stress") -> float:
     return area_mean(on_layer(maps)[name])
 
 
+def touching_share(maps: xr.Dataset) -> float:
+    """Share of the layer's area that is in contact with the sample."""
+    return 1.0 - contact_share(maps, ContactState.OPEN)
+
+
+def contact_share(maps: xr.Dataset, state: ContactState) -> float:
+    """Share of the layer's area that is in a state of contact with the sample."""
+    return area_mean(on_layer(maps)["contact_state"] == state)
+
+
 def mean_stress_error(maps: xr.Dataset) -> float | None:
     """Error of the mean axial stress, kPa, of inputs and mesh together; None where unknown."""
     attrs = maps.attrs
@@ -315,14 +325,13 @@ def summarise(result: StressResult) -> str:
             f"{lowest}"
         )
     if "contact_state" in maps:  # the algebraic method computes none
-        state = maps["contact_state"].values
         shares = [
-            f"{kind.name.lower()} {percent(np.mean(state == kind))}"
+            f"{kind.name.lower()} {percent(contact_share(maps, kind))}"
             for kind in reversed(ContactState)
-            if np.any(state == kind)
+            if (maps["contact_state"] == kind).any()
         ]
         lines.append("contact with the sample: " + ", ".join(shares))
-        if "glued" in shares[0] and (pulled := float(np.mean(maps["contact_pressure"] < 0))):
+        if "glued" in shares[0] and (pulled := area_mean(maps["contact_pressure"] < 0)):
             lines.append(f"pulled by the sample: {percent(pulled)} of the map")
     if sides := edge_influence(maps.attrs):
         lines.append(f"sides of the layer: {sides}")

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.analysis.maps import area_mean
+from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.output import atomic
 from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.summary import (
@@ -16,6 +17,7 @@ from optical_palpation.present.summary import (
     mean_stress,
     mean_stress_error,
     of_mesh_alone,
+    touching_share,
 )
 from optical_palpation.present.terms import plain, rounded
 
@@ -102,10 +104,9 @@ def result_columns(result: StressResult) -> dict[str, Any]:
             known = maps[name].values[np.isfinite(maps[name].values)]
             row[column] = float(np.median(known)) if known.size else np.nan
         row["compression_mm"] = float(about.get("compression_mm", np.nan))
-    state = maps["contact_state"].values
-    row["in_contact_fraction"] = float(np.mean(state != ContactState.OPEN))
+    row["in_contact_fraction"] = touching_share(maps)
     row["interpolated_fraction"] = float(about.get("filled_share", 0.0))
-    row["mean_loaded_thickness_mm"] = float(maps["loaded_thickness"].mean())
+    row["mean_loaded_thickness_mm"] = area_mean(maps["loaded_thickness"])
     for key in ("c10_kPa", "c01_kPa", "bulk_to_shear", "window_friction", "sample_friction"):
         if key in about:
             row[key] = float(about[key])

@@ -170,6 +170,7 @@ def propagated(
     on_force += (_BAND * effect.force) ** 2
 
     known: dict[str, dict[str, float | None]] = {}
+    areas = rough[-1].stack.areas[INTERFACE]
     of_other = "compression" if order.travels else "total_force"
     for name, error in ({} if inputs is None else asdict(inputs)).items():
         if error == 0 or name == of_other:
@@ -195,7 +196,7 @@ def propagated(
         known[name] = {
             "half_width": error,
             "force_mN": float(of_input.force[-1]),
-            "mean_stress_kPa": -float(of_input.pressure[-1].mean()),
+            "mean_stress_kPa": -float(np.average(of_input.pressure[-1], weights=areas)),
         }
     relief = on_sought[order.of_relief].reshape(order.columns.corners) if order.relief else None
     of_travels = np.sqrt(on_sought[order.of_travels])

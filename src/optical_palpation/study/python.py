@@ -172,7 +172,12 @@ class Study:
         for side in _SIDES:
             it = getattr(self._checked, side)
             what = getattr(it, "volume", None) or getattr(it, "map", None)
-            said.append(f"{side} {Path(what).name if what else f'{it.thickness:g} mm'}")
+            if what is None:
+                said.append(f"{side} {it.thickness:g} mm")
+            elif Path(what) in self._workspace.arguments:
+                said.append(f"{side} a map in memory")
+            else:
+                said.append(f"{side} {Path(what).name}")
         m, f, g = self._checked.material, self._checked.friction, self._checked.grid
         said.append(f"{m.law}, {m.make().describe()}")
         window, sample = (h if h == "glued" else f"friction {h:g}" for h in (f.window, f.sample))

@@ -30,6 +30,7 @@ from optical_palpation.present.summary import (
     of_series,
     stress_error,
     stress_figures,
+    touching_share,
 )
 from optical_palpation.present.tables import region_figure
 from optical_palpation.present.terms import (
@@ -394,8 +395,7 @@ def key_figures(
         figures.append((f"Mean stress, {method}", f"{mean} kPa"))
     figures += _sample_figures(maps)
     if "contact_state" in maps:  # the algebraic method computes none
-        touching = float(np.mean(maps["contact_state"].values != ContactState.OPEN))
-        figures.append(("In contact with the sample", percent(touching)))
+        figures.append(("In contact with the sample", percent(touching_share(maps))))
     thickness = thicknesses(result, loaded, unloaded)
     errors = _thickness_errors(attrs)
     if "unloaded" not in thickness and "initial_thickness_mm" in attrs:
