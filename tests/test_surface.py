@@ -13,8 +13,8 @@ def grid() -> LayerGrid:
     return LayerGrid(x, y, np.linspace(0, 1, 3), np.full((y.size, x.size), 0.5))
 
 
-def targets(x0, x1, y0, y1):
-    y, x = np.linspace(y0, y1, 23), np.linspace(x0, x1, 31)
+def targets(x0, x1, y0, y1, finer=1):
+    y, x = np.linspace(y0, y1, 23 * finer), np.linspace(x0, x1, 31 * finer)
     return np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
 
 
@@ -50,3 +50,28 @@ def test_a_surface_that_is_nearly_folded_is_no_trap():
     reference, _ = material_points(layer, moved, y, inside)
     there = reference[..., 1] + surface_field(layer, moved - layer.x)(reference)
     assert_allclose(there, inside[..., 1], atol=1e-4)
+
+
+@pytest.mark.parametrize("width", [0.1, 0.03, 0.01])
+def test_rows_that_are_nearly_folded_at_a_rim_catch_no_points(width):
+    layer = grid()
+    # the outermost rows keep a share of their width, and the rest spreads, as a rim that rolls
+    moved = []
+    for nodes in (layer.x, layer.y):
+        widths = 1.25 * np.diff(nodes)
+        widths[[0, 1, -2, -1]] *= width
+        at = np.concatenate([[0.0], np.cumsum(widths)])
+        moved.append(at + nodes.mean() - at.mean())
+    x, y = np.meshgrid(*moved)
+    inside = targets(x.min() + 1e-4, x.max() - 1e-4, y.min() + 1e-4, y.max() - 1e-4, 8)
+    reference, outside = material_points(layer, x, y, inside)
+    assert not outside.any()
+    for component, nodes, there in ((0, layer.y[:, None], y), (1, layer.x, x)):
+        found = reference[..., component] + surface_field(layer, there - nodes)(reference)
+        assert_allclose(found, inside[..., component], atol=1e-4)
+    far = targets(x.min() - 2.0, x.max() + 2.0, y.min() - 2.0, y.max() + 2.0)
+    _, outside = material_points(layer, x, y, far)
+    slack = 1e-6
+    beyond = (far[..., 1] < x.min() - slack) | (far[..., 1] > x.max() + slack)
+    beyond |= (far[..., 0] < y.min() - slack) | (far[..., 0] > y.max() + slack)
+    np.testing.assert_array_equal(outside, beyond)

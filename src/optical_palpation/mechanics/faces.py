@@ -49,6 +49,15 @@ def area_vectors(surface: Array) -> Array:
 FOLDED = 0.2
 
 
+def carrying_areas(areas: Array, unloaded: Array) -> Array:
+    """Areas by which forces of nodes become stress, mm^2, each ``FOLDED`` of the unloaded at least.
+
+    Of a node between folded faces next to nothing is left, and with it a force that is small would
+    be a stress of thousands of kPa.
+    """
+    return np.maximum(areas, FOLDED * unloaded)
+
+
 def push_slope(surface: Array, unloaded: Array, met: Array) -> tuple[Array, Array, Array]:
     """The slope (a_x, a_y) along which what is met pushes the nodes of a bilinear surface.
 
@@ -73,7 +82,7 @@ def push_slope(surface: Array, unloaded: Array, met: Array) -> tuple[Array, Arra
         mm^2, and the share (D - A_z) / D that is missing of it.
     """
     area = area_vectors(surface)
-    least = np.maximum(area[2], FOLDED * unloaded)
+    least = carrying_areas(area[2], unloaded)
     missing = 1 - area[2] / least
     return -area[:2] / least + missing * met, least, missing
 

@@ -13,6 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
+from optical_palpation.mechanics.faces import carrying_areas
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.iteration import TOLERANCES, relaxed
 from optical_palpation.mechanics.newton import Balance, balance
@@ -190,7 +191,8 @@ def _pressure(solution: Solution, x: Array, y: Array) -> Array:
 
     grid = solution.problem.grid
     surface = grid.nodes[:, -1] + solution.state.u[:, -1]
-    pressure = solution.state.normal_force[SAMPLE] / grid.surface_areas(surface)
+    areas = carrying_areas(grid.surface_areas(surface), grid.areas)
+    pressure = solution.state.normal_force[SAMPLE] / areas
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
     reference, outside = material_points(grid, surface[0], surface[1], target)
     return np.where(outside, np.nan, RegularGridInterpolator((grid.y, grid.x), pressure)(reference))

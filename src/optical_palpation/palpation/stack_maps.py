@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
-from optical_palpation.mechanics.faces import area_vectors
+from optical_palpation.mechanics.faces import area_vectors, carrying_areas
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.stack.contact import friction_memory, touching
 from optical_palpation.mechanics.stack.problem import (
@@ -71,13 +71,14 @@ def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
     force = body.forces(u, state.p[LAYER]).force[:, -1]
     surface = position[:, -1]
     area = area_vectors(surface)
-    pressure = np.maximum(-force[2] / area[2], 0.0)
+    pressure = np.maximum(-force[2] / carrying_areas(area[2], grid.areas), 0.0)
+    traction = force / carrying_areas(grid.surface_areas(surface), grid.areas)
     fields = {
         "contact_pressure": pressure,
         "axial_stress": surface_axial_stress(
             body.stress(u, state.p[LAYER]), area / np.linalg.norm(area, axis=0), pressure
         ),
-        **{f"traction_{c}": force[n] / grid.surface_areas(surface) for n, c in enumerate("xyz")},
+        **{f"traction_{c}": traction[n] for n, c in enumerate("xyz")},
     }
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
     at_sample, outside = material_points(grid, surface[0], surface[1], target)
@@ -171,7 +172,8 @@ def body_dataset(stack: Stack, state: State, which: int) -> xr.Dataset:
         ),
     }
     for face, k, contact in (("window", 0, own[0]), ("sample", -1, own[1])):
-        traction = force[:, k] / body.grid.surface_areas(position[:, k])
+        areas = body.grid.surface_areas(position[:, k])
+        traction = force[:, k] / carrying_areas(areas, body.grid.areas)
         variables[f"{face}_traction"] = variable(
             "y x component", np.moveaxis(traction, 0, -1), "kPa", f"traction, {face} side"
         )

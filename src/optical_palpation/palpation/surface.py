@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.mechanics.cascade import Solution
 from optical_palpation.mechanics.contact import friction_fraction
-from optical_palpation.mechanics.faces import area_vectors
+from optical_palpation.mechanics.faces import area_vectors, carrying_areas
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem, LayerState
@@ -47,7 +47,8 @@ def _pressure_and_axial_stress(
     _, hx, hy = problem.imprint.evaluate(x, y, 1.0)[:3]
     areas = area_vectors((problem.grid.nodes + state.u)[:, -1])
     closed = state.touching(problem)[SAMPLE]
-    pressure = np.where(closed, state.normal_force[SAMPLE] / areas[2], 0.0)
+    beneath = carrying_areas(areas[2], problem.grid.areas)
+    pressure = np.where(closed, state.normal_force[SAMPLE] / beneath, 0.0)
     if problem.glued[SAMPLE]:  # what holds it has a direction of its own
         pressure = -(now.force[:, -1] * areas).sum(0) / (areas**2).sum(0)
     normal = np.stack([-hx, -hy, np.ones_like(hx)]) / np.sqrt(1 + hx**2 + hy**2)
@@ -67,10 +68,9 @@ def deformed_layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[s
     contact = np.where(touching, contact, ContactState.OPEN).astype(np.int8)
     contact[list(problem.glued)] = ContactState.GLUED
 
-    area = grid.surface_areas(position[:, -1])
     traction = {
-        WINDOW: force[:, 0] / grid.surface_areas(position[:, 0]),
-        SAMPLE: force[:, -1] / area,
+        face: force[:, k] / carrying_areas(grid.surface_areas(position[:, k]), grid.areas)
+        for face, k in ((WINDOW, 0), (SAMPLE, -1))
     }
     pressure, axial = _pressure_and_axial_stress(problem, state, now, stress)
     surface = {
@@ -198,16 +198,45 @@ def material_points(
     inverse = _inverse_gradient(axes, (y, x))
     reference = target.copy()
     left = np.arange(len(target))
+
+    def off(points: Array, sought: Array) -> Array:
+        here = np.clip(points, lower, upper)
+        return sought - points - np.stack([by(here) for by in moved], -1)
+
     for _ in range(40):
+        missed = off(reference[left], target[left])
         here = np.clip(reference[left], lower, upper)
-        off = target[left] - reference[left] - np.stack([by(here) for by in moved], -1)
-        reference[left] += np.einsum("ncd,nd->nc", inverse(here), off)
-        left = left[(np.abs(off) > 1e-8 * (upper - lower)).any(-1)]
+        reference[left] += np.einsum("ncd,nd->nc", inverse(here), missed)
+        left = left[(np.abs(missed) > 1e-8 * (upper - lower)).any(-1)]
         if not left.size:
             break
+    if left.size:  # where rows at a rim are nearly folded, the gradient leads astray
+        other = _between_nodes(axes, np.stack([y, x], axis=-1), target[left])
+        known = ~np.isnan(other).any(-1)
+        left, other = left[known], other[known]
+        own = reference[left]
+        misses = (np.linalg.norm(off(at, target[left]), axis=-1) for at in (other, own))
+        reference[left] = np.where(np.less(*misses)[:, None], other, own)
     tolerance = 1e-6 * (upper - lower)
     outside = ((reference < lower - tolerance) | (reference > upper + tolerance)).any(-1)
     return np.clip(reference, lower, upper).reshape(*shape, 2), outside.reshape(shape)
+
+
+def _between_nodes(axes: tuple[Array, Array], position: Array, target: Array) -> Array:
+    """Reference points (n, 2) of a few points, linear between the deformed nodes around them.
+
+    ``position`` is (ny + 1, nx + 1, 2), y before x; NaN for points outside all.
+    """
+    from scipy.interpolate import LinearNDInterpolator  # slow to load
+    from scipy.spatial import Delaunay, cKDTree
+
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    position = position.reshape(-1, 2)
+    near = cKDTree(target).query(position)[0] < 4 * max(np.diff(axis).max() for axis in axes)
+    near[cKDTree(position).query(target, 8)[1]] = True
+    # joggled, because folded rows may lie on one another or on a line
+    around = Delaunay(position[near], qhull_options="QJ")
+    return LinearNDInterpolator(around, nodes[near])(target)
 
 
 def _inverse_gradient(
