@@ -154,6 +154,25 @@ def test_interrupted_while_it_starts(here, seconds, number):
     assert left == ({"map.npy", "o.nc"} if begun.returncode == 0 else {"map.npy"})
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_while_signals_are_taken_over(number):
+    code = (
+        "import runpy, signal, sys\n"
+        f"sys.argv, number = ['optical-palpation', '--version'], {int(number)}\n"
+        "take = signal.signal\n"
+        "def taken(of, handler):\n"
+        "    before = take(of, handler)\n"
+        "    if of == number and getattr(handler, '__name__', '') == '_end':\n"
+        "        signal.raise_signal(of)\n"
+        "    return before\n"
+        "signal.signal = taken\n"
+        "runpy.run_module('optical_palpation', run_name='__main__')\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ran.returncode == (130 if number == signal.SIGINT else 143)
+    assert "Traceback" not in ran.stderr
+
+
 # What runs as the command, and gets the signal where an exception would be lost or changed.
 _LOSES = {
     "a module that is being imported": "import module",

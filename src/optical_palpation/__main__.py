@@ -10,6 +10,7 @@ from threading import Timer
 from types import FrameType
 
 _INTERRUPTED, _TERMINATED = 130, 143
+_SAID = b"interrupted; no file is left half-written\n"
 _AGAIN = 0.02
 """Seconds until a signal is looked at again."""
 _ended = False
@@ -33,18 +34,22 @@ def main() -> None:
     take_over_streams()
     from optical_palpation.cli import main as command
 
-    if interrupted:
-        signal.signal(signal.SIGINT, _end)
-    if terminated:
-        signal.signal(signal.SIGTERM, _end)
-    sys.unraisablehook = _unraisable
-    command()
+    try:
+        if interrupted:
+            signal.signal(signal.SIGINT, _end)
+        if terminated:
+            signal.signal(signal.SIGTERM, _end)
+        sys.unraisablehook = _unraisable
+        command()
+    except KeyboardInterrupt:  # before the command takes it up, or after
+        os.write(2, _SAID)
+        sys.exit(_INTERRUPTED)
 
 
 def _leave(number: int, frame: object) -> None:
     """End at once, as long as nothing has been begun."""
     try:
-        os.write(2, b"interrupted; no file is left half-written\n")
+        os.write(2, _SAID)
     finally:
         os._exit(_INTERRUPTED if number == signal.SIGINT else _TERMINATED)
 
