@@ -13,14 +13,13 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
-from optical_palpation.mechanics.faces import carrying_areas
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.iteration import TOLERANCES, relaxed
 from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.path import StepControl
 from optical_palpation.mechanics.problem import SAMPLE, LayerProblem
 from optical_palpation.palpation.meshing import PADDING, Edges, expected_forces, padded_nodes
-from optical_palpation.palpation.surface import material_points
+from optical_palpation.palpation.surface import material_points, per_area
 
 Array = NDArray[np.float64]
 
@@ -191,8 +190,7 @@ def _pressure(solution: Solution, x: Array, y: Array) -> Array:
 
     grid = solution.problem.grid
     surface = grid.nodes[:, -1] + solution.state.u[:, -1]
-    areas = carrying_areas(grid.surface_areas(surface), grid.areas)
-    pressure = solution.state.normal_force[SAMPLE] / areas
+    pressure = per_area(grid, surface, solution.state.normal_force[SAMPLE])
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
     reference, outside = material_points(grid, surface[0], surface[1], target)
     return np.where(outside, np.nan, RegularGridInterpolator((grid.y, grid.x), pressure)(reference))

@@ -24,6 +24,7 @@ from optical_palpation.palpation.result import ContactState
 from optical_palpation.palpation.surface import (
     SLIP_SHARE,
     material_points,
+    per_area,
     surface_axial_stress,
     surface_field,
 )
@@ -72,7 +73,7 @@ def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
     surface = position[:, -1]
     area = area_vectors(surface)
     pressure = np.maximum(-force[2] / carrying_areas(area[2], grid.areas), 0.0)
-    traction = force / carrying_areas(grid.surface_areas(surface), grid.areas)
+    traction = per_area(grid, surface, force)
     fields = {
         "contact_pressure": pressure,
         "axial_stress": surface_axial_stress(
@@ -172,8 +173,7 @@ def body_dataset(stack: Stack, state: State, which: int) -> xr.Dataset:
         ),
     }
     for face, k, contact in (("window", 0, own[0]), ("sample", -1, own[1])):
-        areas = body.grid.surface_areas(position[:, k])
-        traction = force[:, k] / carrying_areas(areas, body.grid.areas)
+        traction = per_area(body.grid, position[:, k], force[:, k])
         variables[f"{face}_traction"] = variable(
             "y x component", np.moveaxis(traction, 0, -1), "kPa", f"traction, {face} side"
         )

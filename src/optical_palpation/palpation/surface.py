@@ -55,6 +55,14 @@ def _pressure_and_axial_stress(
     return pressure, surface_axial_stress(stress, normal, pressure)
 
 
+def per_area(grid: LayerGrid, surface: Array, force: Array) -> Array:
+    """Forces of nodes, (..., ny + 1, nx + 1), mN, over the area of a deformed surface, kPa.
+
+    ``surface`` holds node positions, (3, ny + 1, nx + 1), mm.
+    """
+    return force / carrying_areas(grid.surface_areas(surface), grid.areas)
+
+
 def deformed_layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[str, Array]]:
     """Deformed layer as a Dataset, and what its sample side carries at the surface nodes."""
     problem, state = solution.problem, solution.state
@@ -69,8 +77,7 @@ def deformed_layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[s
     contact[list(problem.glued)] = ContactState.GLUED
 
     traction = {
-        face: force[:, k] / carrying_areas(grid.surface_areas(position[:, k]), grid.areas)
-        for face, k in ((WINDOW, 0), (SAMPLE, -1))
+        face: per_area(grid, position[:, k], force[:, k]) for face, k in ((WINDOW, 0), (SAMPLE, -1))
     }
     pressure, axial = _pressure_and_axial_stress(problem, state, now, stress)
     surface = {
