@@ -2,10 +2,16 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 from numpy.testing import assert_allclose
 
+from optical_palpation.analysis import force_balance
+from optical_palpation.analysis.maps import point_areas
+from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
-from optical_palpation.palpation.surface import material_points, surface_field
+from optical_palpation.palpation import computational_stress
+from optical_palpation.palpation.surface import MapReading, material_points, surface_field
+from optical_palpation.thickness import thickness_map
 
 
 def grid() -> LayerGrid:
@@ -75,3 +81,54 @@ def test_rows_that_are_nearly_folded_at_a_rim_catch_no_points(width):
     beyond = (far[..., 1] < x.min() - slack) | (far[..., 1] > x.max() + slack)
     beyond |= (far[..., 0] < y.min() - slack) | (far[..., 0] > y.max() + slack)
     np.testing.assert_array_equal(outside, beyond)
+
+
+def reading(layer, retreat=0.0):
+    """A map of points 0.1 mm apart on a layer whose rim has moved inwards, and their areas."""
+    x, y = np.meshgrid(layer.x, layer.y)
+    map_x, map_y = np.linspace(0, 3, 31), np.linspace(0, 2, 21)
+    frame = xr.DataArray(np.ones((21, 31)), {"y": map_y, "x": map_x}, ("y", "x"))
+    x, y = (at + retreat * (1 - 2 * at / at.max()) for at in (x, y))
+    return MapReading(layer, x, y, map_x, map_y), point_areas(frame).values
+
+
+def test_a_steep_rim_counts_for_what_it_covers():
+    layer = grid()
+    field = np.full(layer.areas.shape, 2.0)
+    for side in (0, -1):
+        field[side], field[:, side] = 100.0, 100.0
+    maps, areas = reading(layer)
+    shown = maps.read(field)
+    assert (areas * shown).sum() == pytest.approx((layer.areas * field).sum(), rel=1e-3)
+    assert_allclose(shown[2:-2, 2:-2], 2.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("retreat", [0.0, 2e-4, 0.01])
+def test_a_rim_that_has_hardly_moved_leaves_no_gap(retreat):
+    layer = grid()
+    maps, _ = reading(layer, retreat)
+    assert not maps.outside.any()
+    assert_allclose(maps.read(np.full(layer.areas.shape, 3.0)), 3.0)
+    maps, _ = reading(layer, 0.04)  # half of the outermost parts is 0.025 mm
+    assert maps.outside[0].all()
+    assert not maps.outside[1:-1, 1:-1].any()
+
+
+def test_the_map_of_a_layer_that_sticks_adds_up_to_the_force():
+    axis = np.linspace(0, 2, 41)
+    loaded = thickness_map(np.full((41, 41), 0.45), x=axis, y=axis)
+    result = computational_stress(
+        loaded,
+        0.5,
+        MooneyRivlin(2.23, 0.703),
+        window_friction="glued",
+        sample_friction="glued",
+        element_size=(0.25, 0.25, 0.125),
+        threads=1,
+        mesh_check=False,
+        edge_check=False,
+        input_errors=None,
+    )
+    shown = force_balance(result.maps["axial_stress"])
+    assert shown.missing == 0
+    assert shown.force == pytest.approx(result.maps.attrs["sample_force_mN"], rel=0.02)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from optical_palpation.mechanics.cascade import Solution
 from optical_palpation.mechanics.contact import friction_fraction
@@ -34,9 +36,7 @@ def axial_stress_map(problem: LayerProblem, state: LayerState, x: Array, y: Arra
     position = (problem.grid.nodes + state.u)[:, -1]
     stress = problem.body.stress(state.u, state.p)
     axial = _pressure_and_axial_stress(problem, state, now, stress)[1]
-    target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
-    reference, outside = material_points(problem.grid, position[0], position[1], target)
-    return np.where(outside, np.nan, surface_field(problem.grid, axial)(reference))
+    return MapReading(problem.grid, position[0], position[1], x, y).read(axial)
 
 
 def _pressure_and_axial_stress(
@@ -179,6 +179,62 @@ def _evenly_spaced(nodes: Array) -> slice:
     return slice(int(usual[0]), int(usual[-1]) + 2)
 
 
+class MapReading:
+    """How nodal fields of the deformed surface are read at the points of a map.
+
+    A point shows the value of the material point that is there. Where elements are less than half
+    as wide as the map's spacing, along free sides, it shows the mean over what the layer covers of
+    the part of the map that is nearest to it. The pressure at a rim that sticks belongs to a few
+    hundredths of a millimetre, and would count for half an element; and a rim that has moved
+    inwards by less than a micrometre would leave the border of the map without values.
+
+    Attributes
+    ----------
+    reference
+        Points (ny, nx, 2) of the unloaded layer that lie at those of the map, y before x.
+    outside
+        Points of the map (ny, nx) of whose part the layer covers less than half.
+    """
+
+    def __init__(self, grid: LayerGrid, x: Array, y: Array, map_x: Array, map_y: Array) -> None:
+        """Find the material points; `x`, `y` are the deformed positions of the nodes, mm."""
+        self._grid = grid
+        (at_y, self._down, own_y), (at_x, self._along, own_x) = (
+            _parts(nodes, points) for nodes, points in ((grid.y, map_y), (grid.x, map_x))
+        )
+        target = np.stack(np.meshgrid(at_y, at_x, indexing="ij"), axis=-1)
+        self._points, beyond = material_points(grid, x, y, target)
+        self._covered = (~beyond).astype(float)
+        self._share = self._down @ self._covered @ self._along.T
+        self.reference, self.outside = self._points[np.ix_(own_y, own_x)], self._share < 0.5
+
+    def read(self, field: Array) -> Array:
+        """Values of a nodal field (ny + 1, nx + 1) on the map, NaN outside the layer."""
+        values = self._covered * surface_field(self._grid, field)(self._points)
+        return self._down @ values @ self._along.T / np.where(self.outside, np.nan, self._share)
+
+
+def _parts(nodes: Array, points: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Where a map is read along an axis: positions, weights (points, positions), own positions."""
+    bounds = np.concatenate([points[:1], 0.5 * (points[1:] + points[:-1]), points[-1:]])
+    narrow = np.diff(nodes) < 0.5 * (points[1] - points[0])
+    gauss = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
+    slack = 1e-9 * np.ptp(points)
+    at, weights = [], []
+    for point, (low, high) in zip(points, pairwise(bounds), strict=True):
+        parts, share = np.array([point]), np.array([1.0])
+        if (narrow & (nodes[:-1] < high - slack) & (nodes[1:] > low + slack)).any():
+            cuts = [low, *nodes[(nodes > low + slack) & (nodes < high - slack)], high]
+            widths = np.diff(cuts)
+            inner = (np.array(cuts[:-1])[:, None] + widths[:, None] * gauss).ravel()
+            parts, share = np.append(parts, inner), np.append(0.0, np.repeat(0.5 * widths, 2))
+        at.append(parts)
+        weights.append(share / share.sum())
+    sizes = [part.size for part in at]
+    own = np.cumsum([0, *sizes[:-1]])
+    return np.concatenate(at), block_diag(*weights), own
+
+
 def material_points(
     grid: LayerGrid, x: Array, y: Array, target: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
@@ -278,8 +334,7 @@ def surface_maps(
     grid, glued = solution.problem.grid, solution.problem.glued[SAMPLE]
     x0, x1, y0, y1 = layer_extent_of(loaded)
     x, y = node_positions(x1 - x0, sizes[0], x0), node_positions(y1 - y0, sizes[1], y0)
-    target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
-    reference, outside = material_points(grid, surface["x"], surface["y"], target)
+    at = MapReading(grid, surface["x"], surface["y"], x, y)
 
     units = {
         "contact_pressure": "contact pressure, positive in compression",
@@ -295,7 +350,7 @@ def surface_maps(
         }
     )
     for name, text in units.items():
-        values = np.where(outside, np.nan, surface_field(grid, surface[name])(reference))
+        values = at.read(surface[name])
         if name == "contact_pressure" and not glued:
             values = np.maximum(values, 0.0)  # a cubic may overshoot where contact ends
         maps[name] = (("y", "x"), values, {"units": "kPa", "long_name": text})
@@ -303,7 +358,7 @@ def surface_maps(
 
     for name in ("contact_state", "window_contact_state"):
         nearest = RegularGridInterpolator((grid.y, grid.x), surface[name], method="nearest")
-        values = np.where(outside, ContactState.OPEN, nearest(reference)).astype(np.int8)
+        values = np.where(at.outside, ContactState.OPEN, nearest(at.reference)).astype(np.int8)
         maps[name] = (
             ("y", "x"),
             values,
