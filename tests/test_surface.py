@@ -9,8 +9,14 @@ from optical_palpation.analysis import force_balance
 from optical_palpation.analysis.maps import point_areas
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
-from optical_palpation.palpation import computational_stress
-from optical_palpation.palpation.surface import MapReading, material_points, surface_field
+from optical_palpation.palpation import computational_stress, surface
+from optical_palpation.palpation.surface import (
+    MapReading,
+    force_within,
+    material_points,
+    surface_field,
+)
+from optical_palpation.present import summarise
 from optical_palpation.thickness import thickness_map
 
 
@@ -114,10 +120,10 @@ def test_a_rim_that_has_hardly_moved_leaves_no_gap(retreat):
     assert not maps.outside[1:-1, 1:-1].any()
 
 
-def test_the_map_of_a_layer_that_sticks_adds_up_to_the_force():
+def press_glued():
     axis = np.linspace(0, 2, 41)
     loaded = thickness_map(np.full((41, 41), 0.45), x=axis, y=axis)
-    result = computational_stress(
+    return computational_stress(
         loaded,
         0.5,
         MooneyRivlin(2.23, 0.703),
@@ -129,6 +135,39 @@ def test_the_map_of_a_layer_that_sticks_adds_up_to_the_force():
         edge_check=False,
         input_errors=None,
     )
+
+
+def test_the_map_of_a_layer_that_sticks_adds_up_to_the_force():
+    result = press_glued()
+    attrs = result.maps.attrs
     shown = force_balance(result.maps["axial_stress"])
     assert shown.missing == 0
-    assert shown.force == pytest.approx(result.maps.attrs["sample_force_mN"], rel=0.02)
+    assert shown.force == pytest.approx(attrs["sample_force_mN"], rel=0.02)
+    assert attrs["map_force_mN"] == pytest.approx(attrs["sample_force_mN"], rel=1e-3)
+    assert attrs["map_force_difference"] < 0.02
+    assert "adds up" not in summarise(result)
+    attrs["map_force_mN"] *= 0.8
+    assert "; within the map" in summarise(result)
+
+
+def test_a_map_that_shows_another_force_is_told(monkeypatch):
+    def astray(grid, x, y, target):
+        found, outside = material_points(grid, x, y, target)
+        found[..., 1] = np.where(target[..., 1] > 1.5, grid.x[-1], found[..., 1])
+        return found, outside
+
+    monkeypatch.setattr(surface, "material_points", astray)
+    result = press_glued()
+    assert result.maps.attrs["map_force_difference"] > 0.2
+    assert "WARNING: the stress map adds up to a force that differs by" in summarise(result)
+
+
+def test_the_force_within_an_extent():
+    layer = grid()
+    x, y = np.meshgrid(layer.x, layer.y)
+    moved = np.stack([1.5 + 1.2 * (x - 1.5), y + 0.1 * x])
+    everywhere = (-9.0, 9.0, -9.0, 9.0)
+    assert force_within(moved, np.full(x.shape, 5.0), everywhere) == pytest.approx(5 * 1.2 * 6)
+    assert force_within(moved, x, everywhere) == pytest.approx(1.5 * 1.2 * 6)
+    part = force_within(moved, np.full(x.shape, 5.0), (1.0, 2.0, 0.5, 1.5))
+    assert part == pytest.approx(5.0, rel=0.02)

@@ -40,7 +40,12 @@ from optical_palpation.palpation.plausibility import check_count, check_elements
 from optical_palpation.palpation.progress import Iterations, Progress
 from optical_palpation.palpation.result import Status, StressResult
 from optical_palpation.palpation.sensitivity import changes, sensitivities
-from optical_palpation.palpation.surface import axial_stress_map, deformed_layer, surface_maps
+from optical_palpation.palpation.surface import (
+    axial_stress_map,
+    deformed_layer,
+    force_on_map,
+    surface_maps,
+)
 from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
@@ -255,6 +260,7 @@ def computational_stress(
         "slip_length_mm": problem.slip_length,
         "no_contact_share": algebraic.attrs["no_contact_share"],
         **outcome(solution, now),
+        **force_on_map(maps, surface),
     }
     if of_mesh is not None:
         _add_mesh_error(maps, of_mesh)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,9 +19,10 @@ from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.computational import checked, element_sizes, outcome
 from optical_palpation.palpation.memory import check_memory
 from optical_palpation.palpation.meshing import PADDING, Hold, layer_problem
+from optical_palpation.palpation.plausibility import misread
 from optical_palpation.palpation.progress import Iterations, Progress
 from optical_palpation.palpation.result import StressResult
-from optical_palpation.palpation.surface import deformed_layer, surface_maps
+from optical_palpation.palpation.surface import deformed_layer, force_on_map, surface_maps
 from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.thickness.frames import layer_extent_of, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
@@ -152,7 +154,10 @@ def submodel_stress(
         "submodel_coarse_element_size_mm": about["element_size_mm"],
         "submodel_sides_error": error,
         "submodel_change": change,
+        **force_on_map(maps, surface),
     }
+    of_whole = json.loads(maps.attrs.get("unusual", "[]"))
+    maps.attrs["unusual"] = json.dumps([*of_whole, *misread(maps.attrs)])
     return StressResult(maps, layer, part, solution.state)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import xarray as xr
@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 #: Lateral area, as a share of the unloaded one, below which a surface counts as nearly folded.
 _FOLDED = 0.05
+#: Points along each side of an element at which it is decided what lies within a map.
+_SAMPLES = 4
 #: A node slips where friction has reached this share of its bound.
 SLIP_SHARE = 0.9
 
@@ -144,6 +146,50 @@ def surface_axial_stress(stress: Array, normal: Array, pressure: Array) -> Array
     along = nx * nx * xx + ny * ny * yy + nz * nz * zz
     along += 2 * (ny * nz * yz + nx * nz * xz + nx * ny * xy)
     return zz - along - pressure
+
+
+def force_within(position: Array, pressure: Array, extent: tuple[float, ...]) -> float:
+    """Vertical force of a nodal pressure on what lies within x0, x1, y0, y1 (mm), mN.
+
+    Taken element by element and not from a map, which is checked by it. ``position`` holds the
+    deformed nodes, (2 or more, ny + 1, nx + 1), mm.
+    """
+    x0, x1, y0, y1 = extent
+    nodal = np.stack([*position[:2], pressure])
+    corners = np.stack([nodal[:, :-1, :-1], nodal[:, :-1, 1:], nodal[:, 1:, :-1], nodal[:, 1:, 1:]])
+    at = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+    force = 0.0
+    for s, t in product(at, at):
+        x, y, carried = np.tensordot(
+            [(1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t], corners, 1
+        )
+        along = np.tensordot([t - 1, 1 - t, -t, t], corners[:, :2], 1)
+        across = np.tensordot([s - 1, -s, 1 - s, s], corners[:, :2], 1)
+        area = along[0] * across[1] - along[1] * across[0]
+        there = (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
+        force += float((carried * area)[there].sum()) / _SAMPLES**2
+    return force
+
+
+def force_on_map(maps: xr.Dataset, surface: dict[str, Array]) -> dict[str, float]:
+    """Attributes that say what the sample exerts within the map, and whether the map shows it.
+
+    ``surface`` is that of :func:`deformed_layer`. Of the contact pressure and the axial stress, the
+    one whose map adds up to another force than the elements beneath it counts.
+    """
+    x, y = maps["x"].values, maps["y"].values
+    extent = float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
+    position = np.stack([surface["x"], surface["y"]])
+    scale = force_within(position, np.abs(surface["contact_pressure"]), extent)
+    differences = []
+    for name in ("contact_pressure", "axial_stress"):
+        shown = np.trapezoid(np.trapezoid(np.nan_to_num(maps[name].values), x), y)
+        beneath = force_within(position, surface[name], extent)
+        differences.append(abs(float(shown) - beneath) / max(scale, 1e-30))
+    return {
+        "map_force_mN": force_within(position, surface["contact_pressure"], extent),
+        "map_force_difference": max(differences),
+    }
 
 
 def surface_field(grid: LayerGrid, field: Array) -> Callable[[Array], Array]:

@@ -20,6 +20,8 @@ from optical_palpation.present.terms import percent, plain, rounded
 _NOTABLE_VOLUME_CHANGE = 1.0
 # Share of the total force that sides carry which roll onto window or sample.
 _NOTABLE_SIDES = 0.001
+# Share of the force that acts where the layer reaches beyond the map.
+_NOTABLE_BEYOND = 0.02
 #: Fraction of the map on which sides of the layer may matter before it is worth a word.
 NOTABLE_FRACTION = 0.01
 # Share of the map; more gaps than this say that something is wrong with it.
@@ -247,6 +249,14 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
     return lines
 
 
+def _within_map(attrs: Mapping[Hashable, Any]) -> str:
+    """Say what part of the force acts within the map, where the layer is notably larger."""
+    within, force = attrs.get("map_force_mN"), attrs.get("sample_force_mN")
+    if within is None or not force or abs(within / force - 1) < _NOTABLE_BEYOND:
+        return ""
+    return f"; within the map {rounded(within, force_error(attrs))} mN"
+
+
 def of_series(series: xr.Dataset) -> str:
     """Travel and force of each load of a series."""
     return ", ".join(
@@ -297,7 +307,7 @@ def summarise(result: StressResult) -> str:
     if "submodel_region_mm" in maps.attrs:
         lines += _submodel(maps.attrs)
     elif forces:
-        lines.append("total force: " + ", ".join(forces))
+        lines.append("total force: " + ", ".join(forces) + _within_map(maps.attrs))
     if "force_mesh_error_mN" in maps.attrs:
         said = mesh_error(maps.attrs)
         if "accuracy" in maps.attrs:
