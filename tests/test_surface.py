@@ -14,6 +14,7 @@ from optical_palpation.palpation.surface import (
     MapReading,
     force_within,
     material_points,
+    surface_axial_stress,
     surface_field,
 )
 from optical_palpation.present import summarise
@@ -171,3 +172,17 @@ def test_the_force_within_an_extent():
     assert force_within(moved, x, everywhere) == pytest.approx(1.5 * 1.2 * 6)
     part = force_within(moved, np.full(x.shape, 5.0), (1.0, 2.0, 0.5, 1.5))
     assert part == pytest.approx(5.0, rel=0.02)
+
+
+def test_axial_stress_of_a_slope_with_friction():
+    """Of any even stress, whatever the hydrostatic part of the elements."""
+    rng = np.random.default_rng(1)
+    xx, yy, zz, yz, xz, xy = even = rng.normal(size=6)
+    slope = np.array([0.4, -0.2])
+    stress = np.broadcast_to(even[:, None, None, None], (6, 3, 4, 5)).copy()
+    stress[:3] += rng.normal(size=(3, 4, 5))
+    normal = np.array([-slope[0], -slope[1], 1.0])
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    carried = np.full((5, 6), -(tensor @ normal)[2])
+    slopes = np.broadcast_to(slope[:, None, None], (2, 5, 6))
+    assert_allclose(surface_axial_stress(stress, slopes, carried), zz)

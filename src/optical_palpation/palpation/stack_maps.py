@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
-from optical_palpation.mechanics.faces import area_vectors, carrying_areas
+from optical_palpation.mechanics.faces import push_slope
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.stack.contact import friction_memory, touching
 from optical_palpation.mechanics.stack.problem import (
@@ -71,14 +71,12 @@ def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
     position = body.nodes + u
     force = body.forces(u, state.p[LAYER]).force[:, -1]
     surface = position[:, -1]
-    area = area_vectors(surface)
-    pressure = np.maximum(-force[2] / carrying_areas(area[2], grid.areas), 0.0)
+    slope, beneath, _ = push_slope(surface, grid.areas, np.zeros((2, *grid.areas.shape)))
+    pressure = np.maximum(-force[2] / beneath, 0.0)
     traction = per_area(grid, surface, force)
     fields = {
         "contact_pressure": pressure,
-        "axial_stress": surface_axial_stress(
-            body.stress(u, state.p[LAYER]), area / np.linalg.norm(area, axis=0), pressure
-        ),
+        "axial_stress": surface_axial_stress(body.stress(u, state.p[LAYER]), slope, pressure),
         **{f"traction_{c}": traction[n] for n, c in enumerate("xyz")},
     }
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from optical_palpation.mechanics.cascade import Solution
 from optical_palpation.mechanics.contact import friction_fraction
-from optical_palpation.mechanics.faces import area_vectors, carrying_areas
+from optical_palpation.mechanics.faces import area_vectors, carrying_areas, push_slope
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem, LayerState
@@ -45,16 +45,15 @@ def _pressure_and_axial_stress(
     problem: LayerProblem, state: LayerState, now: Balance, stress: Array
 ) -> tuple[Array, Array]:
     """Contact pressure and axial stress at the nodes of the sample side, kPa."""
-    x, y = (problem.grid.nodes + state.u)[:2, -1]
-    _, hx, hy = problem.imprint.evaluate(x, y, 1.0)[:3]
-    areas = area_vectors((problem.grid.nodes + state.u)[:, -1])
+    surface = (problem.grid.nodes + state.u)[:, -1]
+    met = problem.imprint.evaluate(surface[0], surface[1], 1.0)[1:3]
+    slope, beneath, _ = push_slope(surface, problem.grid.areas, met)
     closed = state.touching(problem)[SAMPLE]
-    beneath = carrying_areas(areas[2], problem.grid.areas)
-    pressure = np.where(closed, state.normal_force[SAMPLE] / beneath, 0.0)
+    carried = pressure = np.where(closed, state.normal_force[SAMPLE] / beneath, 0.0)
     if problem.glued[SAMPLE]:  # what holds it has a direction of its own
-        pressure = -(now.force[:, -1] * areas).sum(0) / (areas**2).sum(0)
-    normal = np.stack([-hx, -hy, np.ones_like(hx)]) / np.sqrt(1 + hx**2 + hy**2)
-    return pressure, surface_axial_stress(stress, normal, pressure)
+        force, areas = now.force[:, -1], area_vectors(surface)
+        carried, pressure = -force[2] / beneath, -(force * areas).sum(0) / (areas**2).sum(0)
+    return pressure, surface_axial_stress(stress, slope, carried)
 
 
 def per_area(grid: LayerGrid, surface: Array, force: Array) -> Array:
@@ -130,22 +129,21 @@ def deformed_layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[s
     return layer, surface
 
 
-def surface_axial_stress(stress: Array, normal: Array, pressure: Array) -> Array:
-    """Cauchy zz at the sample-side nodes.
+def surface_axial_stress(stress: Array, slope: Array, carried: Array) -> Array:
+    """Cauchy zz at the sample-side nodes, by the vertical equilibrium of the surface.
 
-    The stress of the elements is extrapolated to the surface and averaged onto the nodes; then its
-    hydrostatic part, which oscillates from element to element in constant-pressure bricks, is
-    replaced so that the stress normal to the surface is the contact pressure.
+    What a surface of slope (a_x, a_y) carries vertically per horizontal area is
+    a_x xz + a_y yz - zz. The shear stress of the elements is extrapolated to the surface and
+    averaged onto the nodes; their zz, which oscillates from element to element in
+    constant-pressure bricks, is not needed.
     """
-    top = stress[:, -1] if stress.shape[1] == 1 else 1.5 * stress[:, -1] - 0.5 * stress[:, -2]
+    shear = stress[3:5]
+    top = shear[:, -1] if shear.shape[1] == 1 else 1.5 * shear[:, -1] - 0.5 * shear[:, -2]
     padded = np.pad(top, ((0, 0), (1, 1), (1, 1)), mode="edge")
-    xx, yy, zz, yz, xz, xy = 0.25 * (
+    yz, xz = 0.25 * (
         padded[:, 1:, 1:] + padded[:, :-1, 1:] + padded[:, 1:, :-1] + padded[:, :-1, :-1]
     )
-    nx, ny, nz = normal
-    along = nx * nx * xx + ny * ny * yy + nz * nz * zz
-    along += 2 * (ny * nz * yz + nx * nz * xz + nx * ny * xy)
-    return zz - along - pressure
+    return slope[0] * xz + slope[1] * yz - carried
 
 
 def force_within(position: Array, pressure: Array, extent: tuple[float, ...]) -> float:
