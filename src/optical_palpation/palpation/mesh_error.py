@@ -157,7 +157,7 @@ def _comparisons(
         here = there
     if not seen[0]:
         small = here[0]
-        while small.grid.n_elements > _ELEMENTS and min(small.grid.shape[1:]) >= 12:
+        while 2 * small.grid.n_elements > _ELEMENTS and min(small.grid.shape[1:]) >= 12:
             small = halved(small, _LATERAL)
         if small is not here[0]:
             here = solved(small)
@@ -169,7 +169,7 @@ def _comparisons(
 def _coarser(fine: Loaded, coarse: Loaded) -> _Comparison:
     """Compare with a solution on a coarser grid."""
     ratios = np.log(_ratios(fine[0], coarse[0]))
-    ratio = np.exp(ratios.sum() / max(1, (ratios > 0).sum()))
+    ratio = float(np.exp(ratios.sum() / max(1, (ratios > 0).sum())))
     factor = SAFETY / (ratio**ORDER - 1) if ratio >= _LEAST_RATIO else np.inf
     return _Comparison((fine, coarse), factor)
 
