@@ -73,6 +73,23 @@ def test_the_coarse_comparison_finds_what_finer_grids_do(rough):
     assert rough["free"].maps.attrs["edge_influence_fraction"] > 0.9
 
 
+def test_points_count_by_the_area_they_stand_for():
+    """At a side that sticks the pressure is many times its mean."""
+    axis = np.linspace(0, 1, 5)
+    here = np.full((5, 5), 2.0)
+    here[[0, -1]] = here[:, [0, -1]] = 20.0
+    there = here + 1.0
+    shares = np.outer(edges._shares(axis), edges._shares(axis))
+    found = edges._compared("padded", here, there, shares)
+    force = np.trapezoid(np.trapezoid(here, axis), axis)
+    assert found.force == pytest.approx(1 / force)
+    # of the rim, 7/16 of the area, the pressure changes by 5 % of itself at the most
+    assert found.fraction == pytest.approx(9 / 16)
+    # a force that pulls changes by a fraction of its size, towards pressing
+    pulled = edges._compared("padded", here - 20.0, there - 20.0, shares)
+    assert pulled.force == pytest.approx(1 / (20 - force))
+
+
 def test_it_fades_with_the_distance_of_the_sides():
     """The same dent in a field of twice the width."""
     middle = {}

@@ -1,13 +1,16 @@
 """The discretisation error that each result carries."""
 
+from dataclasses import replace
+from unittest import mock
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.mechanics.cascade import LoadNotReached, Solution, coarsened
-from optical_palpation.mechanics.grid import LayerGrid, graded_depths
+from optical_palpation.mechanics.cascade import LoadNotReached, Solution, coarsened, halved
+from optical_palpation.mechanics.grid import LayerGrid, graded_depths, node_positions
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.palpation import computational_stress, mesh_error
@@ -29,6 +32,10 @@ def problem(count, depth=4, edges="roller"):
 
 def unloaded(of):
     return LayerState.unloaded(of.grid)
+
+
+def solved(level, _):
+    return Solution(level, unloaded(level))
 
 
 def press(size):
@@ -55,17 +62,95 @@ def press(size):
 def test_the_error_of_a_method_of_order_one_to_two_lies_within_the_estimate(order, error, depth):
     fine = problem(16, depth)
     coarse = coarsened(fine)
-    size = (fine.grid.n_elements / coarse.grid.n_elements) ** (1 / 3)
+    for of_depth in (0.0, 0.4):
+
+        def quantities(level, _, of_depth=of_depth):
+            across, through = 16 / level.grid.shape[1], depth / level.grid.shape[0]
+            off = error * ((1 - of_depth) * across**order + of_depth * through**order)
+            return 10 + off, np.full((5, 5), off)
+
+        solution = Solution(fine, unloaded(fine), coarser=(coarse, unloaded(coarse)))
+        with mock.patch.object(
+            mesh_error, "solve", lambda level, _: Solution(level, unloaded(level))
+        ):
+            found = mesh_error.mesh_error(solution, quantities, lambda _: 0)
+        assert abs(error) * (1 - 1e-6) <= found.force <= abs(error) * (1.25 * (1 + 2) + 1e-6)
+        np.testing.assert_allclose(found.stress, found.force, rtol=1e-6, atol=1e-12)
+        assert found.elements == coarse.grid.n_elements
+
+
+def test_what_neither_grid_resolves_is_compared_on_further_ones(monkeypatch):
+    """The nested iteration keeps a layer three elements deep, and flat elements as wide."""
+    monkeypatch.setattr(mesh_error, "solve", solved)
+    shallow, flat = problem(16, 3), problem(16, 40)
+    for fine, axis in ((shallow, 0), (flat, 1)):
+        coarse = coarsened(fine)
+        assert coarse.grid.shape[axis] == fine.grid.shape[axis]
+        mine = fine.grid.shape[axis]
+
+        def quantities(level, _, axis=axis, mine=mine):
+            return 10 + (mine / level.grid.shape[axis]) ** 2, np.zeros((4, 4))
+
+        solution = Solution(fine, unloaded(fine), coarser=(coarse, unloaded(coarse)))
+        assert mesh_error.mesh_error(solution, quantities, lambda _: 0).force >= 1.0
+        assert mesh_error.mesh_error(solution, quantities, lambda _: 0, further=False) is None
+
+
+def test_errors_along_and_across_the_depth_do_not_cancel(monkeypatch):
+    monkeypatch.setattr(mesh_error, "solve", solved)
+    fine = problem(16, 4)
 
     def quantities(level, _):
-        off = error if level is fine else error * size**order
-        return 10 + off, np.full((5, 5), off)
+        across, through = 16 / level.grid.shape[1], 4 / level.grid.shape[0]
+        return 10 + through - across, np.zeros((4, 4))
 
-    solution = Solution(fine, unloaded(fine), coarser=(coarse, unloaded(coarse)))
-    found = mesh_error.mesh_error(solution, quantities, lambda _: 0)
-    assert abs(error) * (1 - 1e-6) <= found.force <= abs(error) * (1.25 * (1 + size) + 1e-6)
-    np.testing.assert_allclose(found.stress, found.force, rtol=1e-6, atol=1e-12)
-    assert found.elements == coarse.grid.n_elements
+    found = mesh_error.mesh_error(Solution(fine, unloaded(fine)), quantities, lambda _: 0)
+    assert found.force == pytest.approx(1.25 * 2)
+
+
+def test_a_layer_that_sticks_is_off_by_what_is_said():
+    """Three elements deep, glued to both faces: on one element it could not flow at all."""
+
+    def pressed(depth):
+        return computational_stress(
+            thickness_map(np.full((31, 31), 0.18), x=AXIS[:31], y=AXIS[:31], where="flat"),
+            0.2,
+            GEL,
+            window_friction="glued",
+            sample_friction="glued",
+            element_size=(0.06, 0.06, 0.2 / depth),
+            threads=1,
+            edge_check=False,
+            input_errors=None,
+        ).maps.attrs
+
+    attrs, fine = pressed(3), pressed(9)
+    off = abs(attrs["sample_force_mN"] - fine["sample_force_mN"])
+    assert 0.05 * fine["sample_force_mN"] < off < attrs["force_mesh_error_mN"] < 5 * off
+
+
+@pytest.mark.parametrize("count", [4, 5, 8])
+@pytest.mark.parametrize("edge", [None, 0.01, 0.1])
+def test_coarse_grids_of_few_elements_are_grids(count, edge):
+    nodes = node_positions(2.0, 2.0 / count, edge=edge)
+    grid = LayerGrid(nodes, nodes, graded_depths(4), np.full((len(nodes), len(nodes)), 0.4))
+    fine = replace(problem(8), grid=grid, edges="roller" if edge is None else "free")
+    assert (np.diff(halved(fine, np.array([True, True, True])).grid.x) > 0).all()
+
+
+def test_coarse_grids_are_coarse_though_most_elements_are_those_of_the_edges():
+    nodes = node_positions(2.0, 0.25, edge=0.016)
+    assert len(nodes) - 1 == 14
+    grid = LayerGrid(nodes, nodes, graded_depths(8), np.full((15, 15), 0.4))
+    fine = replace(problem(8), grid=grid, edges="free")
+    coarse = halved(fine, np.array([False, True, True]))
+    assert np.diff(coarse.grid.x).max() > 1.8 * np.diff(nodes).max()
+
+
+def test_the_imprint_is_smoothed_where_elements_become_longer_alone():
+    fine = problem(16, 8)
+    assert halved(fine, np.array([True, False, False])).imprint is fine.imprint
+    assert halved(fine, np.array([False, True, True])).imprint is not fine.imprint
 
 
 def test_free_edges_whose_elements_stay_as_they_are_are_counted():
@@ -80,7 +165,6 @@ def test_no_estimate_where_there_is_no_coarser_solution(monkeypatch):
         raise AssertionError("nothing to compare")
 
     tiny = problem(3, depth=1)
-    assert coarsened(tiny, (2, 4, 4)) is tiny
     lone = Solution(tiny, unloaded(tiny))
     assert mesh_error.mesh_error(lone, quantities, lambda _: 0) is None
 

@@ -1182,7 +1182,13 @@ def test_lines_and_rectangles_say_what_the_library_says(show, tmp_path):
         assert number(error) == pytest.approx(float(found["force_error"]), rel=0.05)
         decimals = len(mean.partition(".")[2])
         assert all(len(cell.partition(".")[2]) == decimals for cell in cells[3:6])
-    for value, error in ((412.3456, 11.7), (-7.1234, 0.0456), (0.5, 0.0999), (1234.5, 151.2)):
+    for value, error in (
+        (412.3456, 11.7),
+        (-7.1234, 0.0456),
+        (0.5, 0.0999),
+        (1234.5, 151.2),
+        (-0.0004, 0.011),
+    ):
         said = page.evaluate(f"() => {{ {DIGITS}; return rounded({value}, {error}).join('') }}")
         assert said.replace("\u00a0", " ") == rounded(value, error)
 
@@ -1495,6 +1501,7 @@ def test_numbers_have_the_digits_that_their_error_leaves():
     assert rounded(-7.1234, 0.0456) == "\u22127.123 \u00b1 0.046"
     assert rounded(0.5, 0.0999) == "0.50 \u00b1 0.10"
     assert rounded(1234.5, 151.2) == "1230 \u00b1 150"
+    assert rounded(-0.0004, 0.011) == "0.000 \u00b1 0.011"
     assert rounded(238.17) == "238"
     assert rounded(2381.7) == "2380"
     assert rounded(0.01234, digits=2) == "0.012"

@@ -75,6 +75,16 @@ def test_friction_of_the_window_when_small_and_large(friction):
     assert of_stress < 0.06
 
 
+def test_a_layer_that_is_hardly_pressed_may_be_pressed_more():
+    """What the loaded surface gains counts as much as what the unloaded one does."""
+    result = press(InputErrors(), thickness=0.0795)
+    known = result.sensitivities["force"]
+    loaded, unloaded = (float(known.sel(input=n)) for n in ("thickness", "initial_thickness"))
+    assert loaded == pytest.approx(-unloaded, rel=0.03)
+    more = force(press(None, thickness=0.0785)) - force(result)
+    assert -0.001 * loaded == pytest.approx(more, rel=0.03)
+
+
 def test_derivatives_of_a_coarse_grid_hold_on_the_finer_one():
     result = press(InputErrors(), 0.09)
     assert result.problem.grid.n_elements > 3000  # more than one grid

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 
-from optical_palpation.analysis.maps import check_map, pixel_size
+from optical_palpation.analysis.maps import check_map, map_error, pixel_size
 from optical_palpation.arguments import check_instance, explained
 from optical_palpation.errors import InputError
 from optical_palpation.thickness import lateral_shift
@@ -128,8 +128,9 @@ def compare_results(
         but the reference, ``difference`` (result less reference); over ``(compared, zone)`` the
         numbers of :func:`compare_maps`; over ``(compared, axis)`` the ``shift`` in mm that was
         taken back. Where the reference and another result hold ``<variable>_error``, also
-        ``difference_error``, both errors in quadrature (NaN for a result without), and over
-        ``compared`` ``within_error``, the share of pixels whose difference is no larger.
+        ``difference_error``, both errors and those of the meshes in quadrature (NaN for a result
+        without), and over ``compared`` ``within_error``, the share of pixels whose difference is no
+        larger.
 
     Raises
     ------
@@ -154,7 +155,6 @@ def compare_results(
     (first, reference), *others = results.items()
     base = check_map(reference[variable], first)
     shown, parts, shifts, errors, within = [base.drop_attrs()], [], [], [], []
-    error_name = f"{variable}_error"
     for name, maps in others:
         shift = (0.0, 0.0)
         if register:
@@ -167,9 +167,10 @@ def compare_results(
         parts.append(part)
         here = (part["difference"] + base).drop_attrs()
         shown.append(here)
-        if error_name in reference and error_name in maps:
-            own = _on_pixels_of(check_map(maps[error_name], f"{name}, error"), base)
-            both = np.hypot(check_map(reference[error_name], f"{first}, error").values, own.values)
+        mine, theirs = map_error(reference, variable), map_error(maps, variable)
+        if mine is not None and theirs is not None:
+            own = _on_pixels_of(check_map(theirs, f"{name}, error"), base)
+            both = np.hypot(check_map(mine, f"{first}, error").values, own.values)
         else:
             both = np.full(base.shape, np.nan)
         errors.append(both)

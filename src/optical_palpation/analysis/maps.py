@@ -32,6 +32,17 @@ def check_map(field: xr.DataArray, name: str) -> xr.DataArray:
     return field
 
 
+def map_error(maps: xr.Dataset, variable: str) -> xr.DataArray | None:
+    """Error of a map in its unit, of inputs and mesh together; None where none of inputs is known.
+
+    With the sample in the model the error bands contain that of the mesh.
+    """
+    own, of_mesh = (maps.get(f"{variable}_{what}") for what in ("error", "mesh_error"))
+    if own is None or of_mesh is None or "error_bands" in maps.attrs:
+        return own
+    return (own**2 + of_mesh.fillna(0.0) ** 2) ** 0.5
+
+
 def pixel_size(field: xr.DataArray) -> tuple[float, float]:
     """Pixel spacing (y, x) in mm."""
     y, x = field["y"].values, field["x"].values

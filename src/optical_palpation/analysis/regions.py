@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from optical_palpation.analysis.maps import (
     area_mean,
     check_map,
+    map_error,
     pixel_size,
     plane_noise,
     point_areas,
@@ -309,9 +310,9 @@ def region_statistics(
         that has a value, ``difference`` (mean less that of the background), and ``contrast``, its
         size over the background's noise, the standard deviation about a plane. Where the maps hold
         ``<variable>_error`` (of both moduli ``sample_modulus_error``), ``mean_error``, the mean of
-        that error, and ``force_error`` (mN), its sum: those of an error common to the whole
-        region, and upper bounds of any other. They are NaN where no pixel has an error. The
-        attributes hold the mean and noise of the background.
+        that error and the mesh's, and ``force_error`` (mN), its sum: those of an error common to
+        the whole region, and upper bounds of any other. They are NaN where no pixel has an error.
+        The attributes hold the mean and noise of the background.
 
     Raises
     ------
@@ -421,9 +422,9 @@ def _statistics(
 
 def _error(maps: xr.Dataset, variable: str) -> NDArray[np.float64] | None:
     """The error of a map in its unit, None where there is none."""
-    own, shared = f"{variable}_error", "sample_modulus_error"
-    if own in maps:
-        return check_map(maps[own], own).values
+    if (own := map_error(maps, variable)) is not None:
+        return check_map(own, f"{variable}_error").values
+    shared = "sample_modulus_error"
     if variable in ("sample_shear_modulus", "sample_youngs_modulus") and shared in maps:
         share = check_map(maps[shared], shared).values
         return np.asarray(share * maps[variable].transpose("y", "x").values)

@@ -52,7 +52,10 @@ def uncertainty(
     thickness_noise: Annotated[
         float,
         typer.Option(
-            metavar="NUMBER", help="Random error of the loaded thickness of each pixel, mm.", min=0
+            metavar="NUMBER",
+            help="Random error of the loaded thickness of each pixel, mm: twice its standard "
+            "deviation, where the other errors are half-widths of 95 % intervals.",
+            min=0,
         ),
     ] = 0.0,
     noise_correlation: Annotated[

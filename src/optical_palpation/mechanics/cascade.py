@@ -94,39 +94,53 @@ def grids(problem: LayerProblem) -> list[LayerProblem]:
     return levels
 
 
-def coarsened(problem: LayerProblem, least: tuple[int, int, int] = _HALVED) -> LayerProblem:
+def coarsened(problem: LayerProblem) -> LayerProblem:
     """Return the problem on a grid of about half as many elements each way.
 
-    The imprint is smoothed to what the coarser elements can follow. Axes (z, y, x) with fewer than
-    ``least`` elements stay as they are; where all of them do, the problem itself is returned.
+    Axes of few or of long elements stay as they are; where all of them do, the problem itself is
+    returned.
     """
-    grid = problem.grid
-    divisible = np.array(grid.shape) >= least
+    divisible = np.array(problem.grid.shape) >= _HALVED
     if not divisible.any():
         return problem
-    sizes = np.array(grid.spacing)
-    halve = divisible & (sizes < 1.6 * sizes[divisible].min())
+    sizes = np.array(problem.grid.spacing)
+    return halved(problem, divisible & (sizes < 1.6 * sizes[divisible].min()))
+
+
+def halved(problem: LayerProblem, halve: NDArray[np.bool_]) -> LayerProblem:
+    """Return the problem on about half as many elements along some of the axes (z, y, x).
+
+    Where elements become longer the imprint is smoothed to what they can follow.
+    """
+    grid = problem.grid
     depth = grid.depth[coarse_nodes(grid.shape[0], bool(halve[0]))]
     edge = edge_width(depth, float(np.median(grid.thickness)))
     y, x = (
         _coarse_axis(nodes, edge if problem.edges == "free" else None) if half else nodes
         for nodes, half in zip((grid.y, grid.x), halve[1:], strict=True)
     )
-    imprint = problem.imprint.smoothed(
-        0.5 * float(np.sqrt(np.median(np.diff(x)) * np.median(np.diff(y))))
-    )
+    if not halve[1:].any():
+        return problem.on_grid(LayerGrid(x, y, depth, grid.thickness))
+    imprint = problem.imprint.smoothed(0.5 * float(np.sqrt(_inner_size(x) * _inner_size(y))))
     unloaded = imprint.evaluate(*np.meshgrid(x, y), 0.0)[0]
-    coarse = LayerGrid(x, y, depth, unloaded)
-    return problem.on_grid(coarse, imprint)
+    return problem.on_grid(LayerGrid(x, y, depth, unloaded), imprint)
 
 
 def _coarse_axis(nodes: Array, edge: float | None) -> Array:
     """Node positions about twice as far apart, the outermost ones no further than ``edge``."""
     widths = np.diff(nodes)
-    size = float(np.median(widths))
+    size = _inner_size(nodes)
     if widths[:2].min() > 1.01 * size:  # a padded layer is coarse where it ends
         return nodes[coarse_nodes(len(widths), True)]
-    return node_positions(float(nodes[-1] - nodes[0]), 2 * size, float(nodes[0]), edge=edge)
+    length = float(nodes[-1] - nodes[0])
+    # longer ones would leave no room for those between the edges
+    return node_positions(length, min(2 * size, 0.25 * length), float(nodes[0]), edge=edge)
+
+
+def _inner_size(nodes: Array) -> float:
+    """Size of the elements within the field of view: at its ends there may be more of another."""
+    widths = np.diff(nodes)
+    return float(widths[len(widths) // 2])
 
 
 def prolong(state: LayerState, coarse: LayerProblem, fine: LayerProblem) -> LayerState:

@@ -113,8 +113,9 @@ def computational_stress(
     threads
         Number of threads; by default one for each core that the process may use.
     mesh_check
-        Whether to solve small problems, for which no coarser grid was needed, on one to learn the
-        error of the mesh (``force_mesh_error_mN``); of larger ones it is always given.
+        Whether to solve the problem on further grids to learn the error of the mesh
+        (``force_mesh_error_mN``), where it was small, or those that were needed anyway are not
+        coarser along all axes; where they are the error is always given.
     edge_check
         Whether to compute, on a coarse grid, how much the sides of the layer matter: the map
         ``edge_influence`` and the attributes ``edge_influence_*``.
@@ -242,7 +243,10 @@ def computational_stress(
     if mesh_check or solution.coarser is not None:
         with limited_threads(threads):
             of_mesh = mesh_error(
-                solution, quantities, lambda level: expected_forces(level, material)
+                solution,
+                quantities,
+                lambda level: expected_forces(level, material),
+                further=mesh_check,
             )
     _check_cover(maps["axial_stress"], loaded, solution.state)
     maps.attrs = {

@@ -53,6 +53,8 @@ class EdgeInfluence:
     force
         Change of the force over the field of view with the other sides, as a fraction; NaN where
         unknown.
+    fraction
+        Of the map, where the values exceed ``NOTABLE``; NaN where unknown.
     unknown
         Why it is not known, or "".
     """
@@ -60,6 +62,7 @@ class EdgeInfluence:
     other: Edges
     values: Array
     force: float
+    fraction: float
     unknown: str = ""
 
     def described(self) -> xr.DataArray:
@@ -82,9 +85,8 @@ class EdgeInfluence:
         about: dict[str, str | float] = {"edge_influence_other": self.other}
         if self.unknown:
             return about | {"edge_influence_unknown": self.unknown}
-        seen = self.values[np.isfinite(self.values)]
         return about | {
-            "edge_influence_fraction": float(np.mean(seen > NOTABLE)),
+            "edge_influence_fraction": self.fraction,
             "edge_influence_force": self.force,
         }
 
@@ -116,18 +118,31 @@ def edge_influence(
             pressures.append(_pressure(_solved(_coarse(problem, sides, field)), x, y))
         except LoadNotReached as failure:
             unknown = f"on a coarse grid, the layer with {sides} sides {failure}"
-            return EdgeInfluence(other, np.full((y.size, x.size), np.nan), np.nan, unknown)
-    return _compared(other, *pressures)
+            return EdgeInfluence(other, np.full((y.size, x.size), np.nan), np.nan, np.nan, unknown)
+    here, there = pressures
+    return _compared(other, here, there, np.outer(_shares(y), _shares(x)))
 
 
-def _compared(other: Edges, here: Array, there: Array) -> EdgeInfluence:
+def _compared(other: Edges, here: Array, there: Array, shares: Array) -> EdgeInfluence:
+    """Compare two contact pressures; ``shares`` of the area are those of the points."""
     covered = np.isfinite(here) | np.isfinite(there)
     here, there = np.nan_to_num(here), np.nan_to_num(there)
-    mean = float(np.abs(here).mean())
+    mean = float((shares * np.abs(here)).sum())
     if mean == 0.0:  # nothing touches, whatever the sides
-        return EdgeInfluence(other, np.where(covered, 0.0, np.nan), 0.0)
+        return EdgeInfluence(other, np.where(covered, 0.0, np.nan), 0.0, 0.0)
     values = np.where(covered, np.abs(there - here) / np.maximum(np.abs(here), mean), np.nan)
-    return EdgeInfluence(other, values, float((there - here).mean()) / mean)
+    force, change = ((shares * pressure).sum() for pressure in (here, there - here))
+    fraction = shares[values > NOTABLE].sum() / shares[covered].sum()
+    return EdgeInfluence(other, values, float(change / abs(force)), float(fraction))
+
+
+def _shares(axis: Array) -> Array:
+    """Shares of the width for which the points of an axis stand; the outermost ones for half.
+
+    At a side that sticks the pressure is many times its mean.
+    """
+    steps = np.diff(axis, append=axis[-1]) + np.diff(axis, prepend=axis[0])
+    return np.asarray(steps / steps.sum())
 
 
 def _coarse(

@@ -51,9 +51,11 @@ def changed(problem: LayerProblem, name: str) -> tuple[LayerProblem, float]:
         return replace(problem, friction=(friction[0], friction[1])), _FRICTION
     step = _THICKNESS * float(np.median(imprint.unloaded))
     if name == "thickness":
-        loaded = imprint.loaded + step
+        # thinner, so that both thicknesses press the layer more: the layer gains contact, and an
+        # error of the one does as much as that of the other where the layer is hardly pressed
+        loaded = imprint.loaded - step
         moved = Imprint(imprint.x, imprint.y, imprint.unloaded, loaded, imprint.motion)
-        return replace(problem, imprint=moved), step
+        return replace(problem, imprint=moved), -step
     unloaded = imprint.unloaded + step
     moved = Imprint(imprint.x, imprint.y, unloaded, imprint.loaded, imprint.motion)
     thicker = LayerGrid(grid.x, grid.y, grid.depth, grid.thickness + step)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.analysis.maps import area_mean
+from optical_palpation.analysis.maps import area_mean, map_error
 from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.plausibility import SOFT_SAMPLE
 from optical_palpation.palpation.result import ContactState, Status, StressResult
@@ -132,10 +132,9 @@ def methods(result: StressResult) -> dict[str, xr.DataArray]:
 
 
 def stress_error(method: str, maps: xr.Dataset) -> xr.DataArray | None:
-    """Error of the axial stress by a method, kPa, where it is known."""
-    name = f"{METHODS[method]}_error"
-    if name in maps:
-        return maps[name]
+    """Error of the axial stress by a method, kPa, of inputs and mesh, where it is known."""
+    if (error := map_error(maps, METHODS[method])) is not None:
+        return error
     alone = "contact_pressure" not in maps  # the algebraic method, whose stress is *the* stress
     return maps.get("axial_stress_error") if alone else None
 

@@ -163,7 +163,8 @@ def rounded(value: Any, error: Any = None, *, digits: int = 3) -> str:
     error = float(f"{float(error):.1e}")
     place = 1 - int(np.floor(np.log10(error)))
     places = max(0, place)
-    text = f"{round(value, place):.{places}f} \N{PLUS-MINUS SIGN} {error:.{places}f}"
+    value = round(value, place) + 0.0  # what rounds to zero has no sign
+    text = f"{value:.{places}f} \N{PLUS-MINUS SIGN} {error:.{places}f}"
     return text.replace("-", "\N{MINUS SIGN}")
 
 

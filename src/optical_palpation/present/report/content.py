@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.analysis import Region, compare_results, region_statistics, traced
-from optical_palpation.analysis.maps import area_mean
+from optical_palpation.analysis.maps import area_mean, map_error
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.figure import colour_map
 from optical_palpation.present.profiles import on_layer
@@ -154,6 +154,13 @@ def map_entries(
             force=force,
         )
         scales.setdefault(what.scale, {"colours": what.colours, "units": what.units})
+    # the page's own numbers have the errors of those of the library
+    of_method = {method: f"{name}_error" for method, name in names.items()}
+    both = map_error(maps, "axial_stress")
+    if both is not None and "axial_stress_mesh_error" in shown:
+        of_method["computational"] = "computational-error"
+        title = "Error of the axial stress, inputs and mesh"
+        show("computational-error", title, "error", both, mask=of_stress, digits=3)
     for state, field in thickness.items():
         mask = of_stress if layers[state] is None else state
         title = f"{state.title()} thickness"
@@ -170,7 +177,7 @@ def map_entries(
         scales[scale] = {"colours": "gray", "units": "dB"}
 
     for name, entry in shown.items():
-        own = f"{names.get(name, name)}_error"
+        own = of_method.get(name, f"{name}_error")
         if name.startswith("difference-"):
             own = f"{name}-error"
         elif name in ("sample_shear_modulus", "sample_youngs_modulus"):
@@ -202,9 +209,7 @@ def map_entries(
                 "range": _profile_range(maps, stress, names),
                 "maps": sorted(stress),
                 "errors": {
-                    method: f"{names[method]}_error"
-                    for method in stress
-                    if f"{names[method]}_error" in shown
+                    method: of_method[method] for method in stress if of_method[method] in shown
                 },
             },
             "layer": {
@@ -232,7 +237,7 @@ def _profile_range(
     low, high = common_limits(stress, "", share=0.1)
     ends = dict(stress)
     for method, field in stress.items():
-        if (error := maps.get(f"{names[method]}_error")) is not None:
+        if (error := map_error(maps, names[method])) is not None:
             error = error.interp(y=field["y"], x=field["x"])
             ends |= {f"{method}, low": field - error, f"{method}, high": field + error}
     lowest, highest = common_limits(ends, "", share=0.1)

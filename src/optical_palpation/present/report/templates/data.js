@@ -115,7 +115,9 @@ function rounded(value, error) {
   const written = (v) => {
     const whole = 10 ** -place;
     const kept = place < 0 ? Math.round(v / whole) * whole : v;
-    return kept.toFixed(clamp(place, 0, 20)).replace("-", "\u2212");
+    const text = kept.toFixed(clamp(place, 0, 20));
+    // what rounds to zero has no sign
+    return (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "\u2212");
   };
   return [written(value), `\u00a0\u00b1\u00a0${written(two)}`];
 }
