@@ -237,6 +237,26 @@ def test_nearly_rigid_sample_is_an_imprint():
     assert np.isnan(maps["sample_shear_modulus"]).all()
 
 
+@pytest.fixture(scope="module")
+def uneven():
+    """A soft sample of known relief, and that relief."""
+    result = run_experiment(
+        scene(compression=0.25, relief=({"kind": "sinusoid", "amplitude": 0.05, "wavelength": 3},))
+    )
+    x = np.linspace(0, 3, 121)
+    height = np.tile(0.05 * np.sin(2 * np.pi * x / 3), (x.size, 1))
+    return result, xr.DataArray(height, {"y": x, "x": x}, ("y", "x"))
+
+
+def test_a_relief_may_be_on_descending_coordinates(uneven):
+    result, relief = uneven
+    up, down = (
+        computed(result, known(result, relief=each), element_size=0.3).maps["axial_stress"]
+        for each in (relief, relief[::-1, ::-1].T)
+    )
+    np.testing.assert_array_equal(up, down)
+
+
 def test_a_sample_that_does_not_fit_is_refused_with_its_place(columns):
     hollow = columns.maps["loaded_thickness"].copy()
     hollow.values[25:35, 25:35] -= 0.2

@@ -36,7 +36,7 @@ from optical_palpation.stiffness.maps import as_rigid, sample_result
 from optical_palpation.stiffness.measurement import ThicknessSurface
 from optical_palpation.stiffness.sample import Sample, as_loads, check_sample
 from optical_palpation.thickness.cleaning import clean_thickness
-from optical_palpation.thickness.frames import layer_extent_of, smooth_map
+from optical_palpation.thickness.frames import layer_extent_of, on_grid, smooth_map
 from optical_palpation.thickness.initial import match_initial_thickness
 
 Array = NDArray[np.float64]
@@ -131,6 +131,7 @@ def sample_stress(
     if input_errors is not None:
         input_errors.check_thickness(thickness)
     check_elements(element_size, (x1 - x0, y1 - y0), thickness, "the thickness of the layer")
+    relief = on_grid(sample.relief) if isinstance(sample.relief, xr.DataArray) else None
     blocks = Blocks(
         extent=extent,
         thickness=smooth_map(initial),
@@ -138,7 +139,7 @@ def sample_stress(
         sample_size=sample.size or (x1 - x0, y1 - y0),
         sample_thickness=sample.thickness,
         sample_law=sample.law or NeoHookean(c10=0.5 * material.shear_modulus),
-        relief=smooth_map(sample.relief) if isinstance(sample.relief, xr.DataArray) else _flat,
+        relief=_flat if relief is None else smooth_map(relief),
         friction=(window_friction, sample_friction, sample.plate_friction),
         travel=0.0 if sample.travels is None else sample.travels[-1],
     )
