@@ -1,5 +1,6 @@
 """Stress on a sample that nobody tracked, and its stiffness."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -255,6 +256,35 @@ def test_a_relief_may_be_on_descending_coordinates(uneven):
         for each in (relief, relief[::-1, ::-1].T)
     )
     np.testing.assert_array_equal(up, down)
+
+
+def test_a_plate_that_moves_less_than_the_layer_gives_way_is_refused(uneven):
+    """Even where a relief leaves room for the median: that is no rigid sample."""
+    result, relief = uneven
+    with pytest.raises(InputError, match=r"more than a compression of 0\.06 mm and the relief"):
+        computed(result, known(result, relief=relief, compression=0.06), element_size=0.3)
+
+
+def test_a_rigid_sample_keeps_the_errors_and_the_force_that_are_given():
+    result = run_experiment(scene({"kind": "box", "factor": 500.0}, compression=0.1))
+    loaded = cleaned(result)
+    errors = InputErrors(window_friction=0.2)
+    attrs = computed(result, loaded=loaded, element_size=0.3, input_errors=errors).maps.attrs
+    assert attrs["sample_rigid"] == "yes"
+    assert json.loads(attrs["input_errors"])["window_friction"] == 0.2
+    wrong = known(result, total_force=2 * attrs["window_force_mN"])
+    with pytest.raises(ConvergenceError, match="contradict each other"):
+        computed(result, wrong, loaded=loaded, element_size=0.3)
+
+
+def test_noise_is_no_contact(uneven):
+    """Half of what nothing touches is thinner by noise: that says nothing of the sample."""
+    result, relief = uneven
+    exact = measured(result)
+    noise = 1e-3 * np.random.default_rng(1).normal(size=exact.shape)
+    for known_relief in (relief, None):
+        with pytest.raises(InputError, match="does not touch"):
+            computed(result, known(result, relief=known_relief), exact.copy(data=0.5 + noise))
 
 
 def test_a_sample_that_does_not_fit_is_refused_with_its_place(columns):

@@ -29,7 +29,7 @@ from optical_palpation.palpation.plausibility import check_elements
 from optical_palpation.palpation.progress import Progress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.threads import limited_threads
-from optical_palpation.stiffness.errors import Errors, propagated
+from optical_palpation.stiffness.errors import propagated
 from optical_palpation.stiffness.forward import Columns, Model, Sought
 from optical_palpation.stiffness.inversion import Estimate, invert
 from optical_palpation.stiffness.maps import as_rigid, sample_result
@@ -51,6 +51,8 @@ _FAR_OFF = 0.1
 #: Share of the travel that a sample must take, or it is as good as rigid: nobody knows the travel
 #: much better.
 _RIGID = 0.03
+#: By so many standard deviations of its surface a layer is thinner where something touches it.
+_TOUCHING = 5.0
 #: Share of the sample's thickness that the travel has more than the layer takes, to begin with.
 _GUESS = 0.15
 #: Error of a total force that is only checked.
@@ -152,14 +154,21 @@ def sample_stress(
         measured = [replace(each, noise=noise) for each in measured]
     start = _start(measured, blocks, columns, sample)
     if start is None:
-        return as_rigid(
-            [
-                _on_imprint(each, initial_thickness, blocks, element_size, threads, progress)
-                for each in loads
-            ],
+        still = [
+            _on_imprint(
+                each, initial_thickness, blocks, element_size, input_errors, threads, progress
+            )
+            for each in loads
+        ]
+        of_each = [result.maps.attrs for result in still]
+        parts = "force_error_mN", "force_mesh_error_mN"
+        _check_force(
             sample,
-            blocks,
+            sample.travels or (),
+            [attrs["window_force_mN"] for attrs in of_each],
+            [float(np.hypot(*(attrs.get(name, 0.0) for name in parts))) for attrs in of_each],
         )
+        return as_rigid(still, sample, blocks)
     blocks = replace(blocks, travel=start.travels[-1])
     fine, coarse = _models(blocks, Mesh(element_size), columns, thickness)
     solved = 0
@@ -189,7 +198,12 @@ def sample_stress(
             f"{failure.reason}. Check the compression and the "
             "thickness of the sample, or try another element_size"
         ) from None
-    _check_force(sample, estimate, errors)
+    _check_force(
+        sample,
+        estimate.sought.travels,
+        [pressed.force for pressed in estimate.pressed],
+        [band.force for band in errors.loads],
+    )
     return sample_result(estimate, errors, loads, initial_thickness, sample, fine, measured)
 
 
@@ -219,7 +233,13 @@ def _models(blocks: Blocks, mesh: Mesh, columns: Columns, thickness: float) -> t
 def _start(
     measured: Sequence[ThicknessSurface], blocks: Blocks, columns: Columns, sample: Sample
 ) -> Sought | None:
-    """What to begin with: columns of layer and sample as springs; None if the sample is rigid."""
+    """What to begin with: columns of layer and sample as springs; None if the sample is rigid.
+
+    Raises
+    ------
+    InputError
+        If nothing touches, or the plate moved less than the layer gave way.
+    """
     law, forces = blocks.sample_law, sample.travels is None
     travels = sample.travels or (0.0,) * len(measured)
     springs = [_springs(m, blocks, columns, t) for m, t in zip(measured, travels, strict=True)]
@@ -230,20 +250,37 @@ def _start(
         springs = [_springs(m, blocks, columns, t) for m, t in zip(measured, travels, strict=True)]
     last = springs[-1]
     if not sample.relief_is_sought:
-        if not forces and last.shorter < _RIGID * travels[-1]:
+        if not forces and _is_rigid(last.shorter, travels[-1]):
             return None
         level = np.log(last.stress / (3 * last.strain * law.shear_modulus))
         return Sought(np.full(columns.shape, level), travels)
     # The relief takes none of what is added from load to load.
     first = springs[0]
     shorter = last.shorter - first.shorter
-    if shorter < _RIGID * (travels[-1] - travels[0]):
+    if _is_rigid(shorter, travels[-1] - travels[0]):
         return None
     stress, strain = max(last.stress - first.stress, 0.1 * last.stress), shorter / sample.thickness
     level = np.log(stress / (3 * strain * law.shear_modulus))
     # Flat, and touched at each load: springs of their own would take much of the stiffness for it.
     gap = min(last.shorter - last.stress * shorter / stress, 0.5 * travels[0])
     return Sought(np.full(columns.shape, level), travels, np.full(columns.corners, -gap))
+
+
+def _is_rigid(shorter: float, travel: float) -> bool:
+    """Whether a sample that gets so much shorter takes next to nothing of a travel.
+
+    Raises
+    ------
+    InputError
+        If it would get longer.
+    """
+    if shorter < -_RIGID * travel:
+        raise InputError(
+            f"sample: where it touches, the layer gave way by {-shorter:.3g} mm more than a "
+            f"compression of {travel:.3g} mm and the relief leave it: the plate cannot have moved "
+            "so little. Check the compression, the relief and the unloaded thickness"
+        )
+    return shorter < _RIGID * travel
 
 
 @dataclass(frozen=True)
@@ -270,9 +307,18 @@ def _springs(
     loaded = measured(x.ravel(), y.ravel()).reshape(x.shape)
     stretch = np.clip(np.where(inside, loaded, np.nan) / unloaded, 0.05, 1.0)
     apart = (unloaded + height).max() - unloaded - height
-    shorter = travel - apart - unloaded * (1 - stretch)
+    thinner = unloaded * (1 - stretch)
+    shorter = travel - apart - thinner
     pressure = blocks.law.strain_adjusted_modulus(stretch - 1) * (1 - stretch)
-    touching = stretch < 1.0
+    # Noise makes half of what nothing touches thinner, too.
+    touching = thinner > _TOUCHING * measured.noise / np.sqrt(measured.pixels)
+    if travel:
+        touching &= apart < travel
+    if not touching.any():
+        raise InputError(
+            "the sample does not touch the layer: where the two could meet, that is nowhere "
+            f"thinner than unloaded by more than its noise, {1e3 * measured.noise:.2g} um a pixel"
+        )
     strain = shorter / (blocks.sample_thickness + height)
     each = (pressure, shorter, strain, travel - shorter)
     return _Springs(*(float(np.median(values[touching])) for values in each))
@@ -283,6 +329,7 @@ def _on_imprint(
     initial_thickness: float | xr.DataArray,
     blocks: Blocks,
     element_size: float,
+    input_errors: InputErrors | None,
     threads: int | None,
     progress: Callable[[Progress], None] | None,
 ) -> StressResult:
@@ -296,27 +343,29 @@ def _on_imprint(
         window_friction=blocks.friction[0],
         sample_friction=blocks.friction[1],
         element_size=element_size,
+        input_errors=input_errors,
         threads=threads,
         progress=progress,
     )
 
 
-def _check_force(sample: Sample, estimate: Estimate, errors: Errors) -> None:
+def _check_force(
+    sample: Sample, travels: Sequence[float], forces: Sequence[float], bands: Sequence[float]
+) -> None:
     """Refuse a total force that the travel of the plate contradicts.
 
     Raises
     ------
     ConvergenceError
     """
-    travels = estimate.sought.travels
-    for force, pressed, band, travel in zip(
-        sample.forces or (), estimate.pressed, errors.loads, travels, strict=False
+    for given, travel, force, band in zip(
+        sample.forces or (), travels, forces, bands, strict=False
     ):
-        if abs(pressed.force - force) > band.force + _FORCE_READING * force:
+        if abs(force - given) > band + _FORCE_READING * given:
             raise ConvergenceError(
                 f"sample: compression and total force contradict each other: with a travel of "
-                f"{travel:.3g} mm the force would be {pressed.force:.4g} +- {band.force:.2g} mN, "
-                f"not {force:g} mN. Give the one that is known better"
+                f"{travel:.3g} mm the force would be {force:.4g} +- {band:.2g} mN, "
+                f"not {given:g} mN. Give the one that is known better"
             )
 
 
