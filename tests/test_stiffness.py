@@ -287,6 +287,18 @@ def test_noise_is_no_contact(uneven):
             computed(result, known(result, relief=known_relief), exact.copy(data=0.5 + noise))
 
 
+def test_what_was_not_measured_counts_for_nothing(columns):
+    """It is no misfit, and neither the stiffness there nor its band is given."""
+    loaded = measured(columns)
+    part = loaded.where(loaded["x"] > 1.5)
+    maps = computed(columns, loaded=part, element_size=0.25).maps
+    assert maps["thickness_misfit"].sel(x=slice(None, 1.4)).isnull().all()
+    for name in ("sample_youngs_modulus", "sample_modulus_error"):
+        assert maps[name].sel(x=slice(None, 0.9)).isnull().all()
+        assert maps[name].sel(x=slice(1.5, 2.5), y=slice(0.5, 2.5)).notnull().all()
+    assert maps.attrs["misfit_over_tolerance"] < 3
+
+
 def test_a_sample_that_does_not_fit_is_refused_with_its_place(columns):
     hollow = columns.maps["loaded_thickness"].copy()
     hollow.values[25:35, 25:35] -= 0.2

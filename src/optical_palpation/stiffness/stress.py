@@ -108,8 +108,9 @@ def sample_stress(
         Maps as of ``computational_stress``, and on ``(y, x)``: ``sample_shear_modulus`` and
         ``sample_youngs_modulus``, kPa, of the column of the sample that is there under load (NaN
         where nothing is known of it), ``sample_displacement_x`` and ``sample_displacement_y``, mm,
-        ``thickness_misfit``, computed less measured, mm, half the estimated error of the mesh taken
-        off, and half the width of 95 % bands:
+        ``thickness_misfit``, computed less measured, mm (NaN where it was not measured; from the
+        attributes half the estimated error of the mesh is taken off), and half the width of 95 %
+        bands:
         ``axial_stress_error``, kPa, and ``sample_modulus_error``, as a share of the modulus. They
         are those of the last load; ``series`` has them for each ``load``. Where the relief was
         sought, ``sample_relief`` and ``sample_relief_error``, mm, on unloaded positions.
@@ -382,29 +383,31 @@ def _check_fit(estimate: Estimate) -> None:
     y, x = (
         np.minimum(nodes - nodes[0], nodes[-1] - nodes) >= thickness for nodes in (grid.y, grid.x)
     )
-    inside = y[:, None] & x  # the rim rolls, which the mesh decides
-    if not inside.any():
-        inside[:] = True
-
-    def mean(values: Array) -> float:
-        return float(np.sqrt(np.mean(values[inside] ** 2)))
-
+    interior = y[:, None] & x  # the rim rolls, which the mesh decides
     # that of the last load counts: an early one of little contact tells little
-    indentation = mean(grid.thickness - estimate.pressed[-1].surface[2])
+    indentation = grid.thickness - estimate.pressed[-1].surface[2]
     count = len(estimate.pressed)
-    for n, (pressed, all_misfit) in enumerate(
-        zip(estimate.pressed, estimate.misfit, strict=True), start=1
+    for n, (pressed, all_misfit, measured) in enumerate(
+        zip(estimate.pressed, estimate.misfit, estimate.measured, strict=True), start=1
     ):
-        misfit, surface = np.where(inside, all_misfit, 0.0), pressed.surface
+        inside = interior & measured
+        if not inside.any():
+            inside = measured
+
+        def mean(values: Array, inside: NDArray[np.bool_] = inside) -> float:
+            return float(np.sqrt(np.mean(values[inside] ** 2)))
+
+        misfit = np.where(inside, all_misfit, 0.0)
         left, off = mean(misfit / estimate.tolerance[n - 1]), mean(misfit)
-        if left <= _NO_FIT and off <= _FAR_OFF * indentation:
+        share = off / mean(indentation)
+        if left <= _NO_FIT and share <= _FAR_OFF:
             continue
         worst = np.unravel_index(int(np.abs(misfit).argmax()), misfit.shape)
-        at_x, at_y, _ = surface[:, worst[0], worst[1]]
+        at_x, at_y, _ = pressed.surface[:, worst[0], worst[1]]
         here = "" if count == 1 else f" of load {n}"
         raise ConvergenceError(
             f"no stiffness of the sample explains the loaded thickness{here}: it stays off by "
-            f"{1e3 * off:.3g} um ({off / indentation:.0%} of the indentation, {left:.1f} times "
+            f"{1e3 * off:.3g} um ({share:.0%} of the indentation, {left:.1f} times "
             f"what noise and mesh explain), most at x = {at_x:.2f}, y = {at_y:.2f} mm. Check the "
             "compression, the thickness and the relief of the sample, and the unloaded thickness"
         )
