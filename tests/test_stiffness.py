@@ -297,6 +297,17 @@ def test_what_was_not_measured_counts_for_nothing(columns):
         assert maps[name].sel(x=slice(None, 0.9)).isnull().all()
         assert maps[name].sel(x=slice(1.5, 2.5), y=slice(0.5, 2.5)).notnull().all()
     assert maps.attrs["misfit_over_tolerance"] < 3
+    (warning,) = json.loads(maps.attrs["unusual"])
+    assert "was not measured" in warning
+
+
+def test_a_model_that_does_not_fit_is_said(columns):
+    """The sample is taken for too thick by a factor of two, which no stiffness makes good."""
+    result = computed(columns, known(columns, thickness=2.0), element_size=0.25)
+    (warning,) = json.loads(result.maps.attrs["unusual"])
+    assert "noise and mesh explain" in warning
+    assert f"WARNING: {warning}" in summarise(result)
+    assert not json.loads(computed(columns, element_size=0.25).maps.attrs["unusual"])
 
 
 def test_a_sample_that_does_not_fit_is_refused_with_its_place(columns):

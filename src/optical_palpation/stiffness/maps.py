@@ -16,6 +16,7 @@ from optical_palpation.mechanics.stack.newton import balance
 from optical_palpation.mechanics.stack.problem import LAYER, WINDOW
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.computational import residuals
+from optical_palpation.palpation.plausibility import unusual
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.stack_maps import body_dataset, observed_maps
 from optical_palpation.stiffness.errors import Band, Errors
@@ -32,6 +33,9 @@ Array = NDArray[np.float64]
 _UNKNOWN = 0.5
 #: Half the 95 % band of a height, in thicknesses of the layer, above which nothing is known of it.
 _UNKNOWN_HEIGHT = 0.2
+
+#: Misfit over what noise and mesh explain from which it is said that the model does not fit.
+_DOUBTFUL = 3.0
 
 #: Maps that a result with a sample has more than one without: units and meaning.
 SAMPLE_MAPS = {
@@ -115,12 +119,32 @@ def sample_result(
         "no_contact_share": algebraic.attrs["no_contact_share"],
         "slip_length_mm": stack.slip_length,
     }
+    maps.attrs["unusual"] = json.dumps([*unusual(blocks.law, maps), *_doubts(estimate, near)])
     return StressResult(
         maps,
         body_dataset(stack, state, LAYER),
         pixels=of_pixels[-1].drop_attrs(deep=False),
         series=_series(each, estimate.sought.travels) if len(each) > 1 else None,
     )
+
+
+def _doubts(estimate: Estimate, near: NDArray[np.bool_]) -> list[str]:
+    """Say what bands do not hold: points not ``near`` measured ones, and a model that is off."""
+    said = []
+    if not near.all():
+        said.append(
+            f"on {1 - near.mean():.0%} of the map the thickness was not measured within a layer's "
+            "thickness around: the sample there is taken to go on as beside it, and the bands of "
+            "stress and force do not hold what it may be instead"
+        )
+    if estimate.over_tolerance > _DOUBTFUL:
+        said.append(
+            f"computed and measured thickness differ by {estimate.over_tolerance:.1f} times what "
+            "noise and mesh explain: something in the model does not fit, and the error may be "
+            "larger than the bands. Check the travel, the thickness and the relief of the sample "
+            "and the unloaded thickness, and see whether smaller elements change it"
+        )
+    return said
 
 
 def as_rigid(results: Sequence[StressResult], sample: Sample, blocks: Blocks) -> StressResult:

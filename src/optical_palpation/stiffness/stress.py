@@ -405,9 +405,11 @@ def _check_fit(estimate: Estimate) -> None:
         worst = np.unravel_index(int(np.abs(misfit).argmax()), misfit.shape)
         at_x, at_y, _ = pressed.surface[:, worst[0], worst[1]]
         here = "" if count == 1 else f" of load {n}"
+        coarse = ", or use smaller elements: those may be what is off" if left <= _NO_FIT else ""
         raise ConvergenceError(
             f"no stiffness of the sample explains the loaded thickness{here}: it stays off by "
             f"{1e3 * off:.3g} um ({share:.0%} of the indentation, {left:.1f} times "
             f"what noise and mesh explain), most at x = {at_x:.2f}, y = {at_y:.2f} mm. Check the "
             "compression, the thickness and the relief of the sample, and the unloaded thickness"
+            + coarse
         )
