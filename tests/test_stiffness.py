@@ -1,5 +1,6 @@
 """Stress on a sample that nobody tracked, and its stiffness."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -235,6 +236,78 @@ def test_nearly_rigid_sample_is_an_imprint():
     assert maps.attrs["sample_rigid"] == "yes"
     assert error(maps, result.maps) < 0.05
     assert np.isnan(maps["sample_shear_modulus"]).all()
+
+
+@pytest.fixture(scope="module")
+def uneven():
+    """A soft sample of known relief, and that relief."""
+    result = run_experiment(
+        scene(compression=0.25, relief=({"kind": "sinusoid", "amplitude": 0.05, "wavelength": 3},))
+    )
+    x = np.linspace(0, 3, 121)
+    height = np.tile(0.05 * np.sin(2 * np.pi * x / 3), (x.size, 1))
+    return result, xr.DataArray(height, {"y": x, "x": x}, ("y", "x"))
+
+
+def test_a_relief_may_be_on_descending_coordinates(uneven):
+    result, relief = uneven
+    up, down = (
+        computed(result, known(result, relief=each), element_size=0.3).maps["axial_stress"]
+        for each in (relief, relief[::-1, ::-1].T)
+    )
+    np.testing.assert_array_equal(up, down)
+
+
+def test_a_plate_that_moves_less_than_the_layer_gives_way_is_refused(uneven):
+    """Even where a relief leaves room for the median: that is no rigid sample."""
+    result, relief = uneven
+    with pytest.raises(InputError, match=r"more than a compression of 0\.06 mm and the relief"):
+        computed(result, known(result, relief=relief, compression=0.06), element_size=0.3)
+
+
+def test_a_rigid_sample_keeps_the_errors_and_the_force_that_are_given():
+    result = run_experiment(scene({"kind": "box", "factor": 500.0}, compression=0.1))
+    loaded = cleaned(result)
+    errors = InputErrors(window_friction=0.2)
+    attrs = computed(result, loaded=loaded, element_size=0.3, input_errors=errors).maps.attrs
+    assert attrs["sample_rigid"] == "yes"
+    assert json.loads(attrs["input_errors"])["window_friction"] == 0.2
+    wrong = known(result, total_force=2 * attrs["window_force_mN"])
+    with pytest.raises(ConvergenceError, match="contradict each other"):
+        computed(result, wrong, loaded=loaded, element_size=0.3)
+
+
+def test_noise_is_no_contact(uneven):
+    """Half of what nothing touches is thinner by noise: that says nothing of the sample."""
+    result, relief = uneven
+    exact = measured(result)
+    noise = 1e-3 * np.random.default_rng(1).normal(size=exact.shape)
+    for known_relief in (relief, None):
+        with pytest.raises(InputError, match="does not touch"):
+            computed(result, known(result, relief=known_relief), exact.copy(data=0.5 + noise))
+
+
+def test_what_was_not_measured_counts_for_nothing(columns):
+    """It is no misfit, and neither the stiffness there nor its band is given."""
+    loaded = measured(columns)
+    part = loaded.where(loaded["x"] > 1.5)
+    maps = computed(columns, loaded=part, element_size=0.25).maps
+    assert maps["thickness_misfit"].sel(x=slice(None, 1.4)).isnull().all()
+    for name in ("sample_youngs_modulus", "sample_modulus_error"):
+        assert maps[name].sel(x=slice(None, 0.9)).isnull().all()
+        assert maps[name].sel(x=slice(1.5, 2.5), y=slice(0.5, 2.5)).notnull().all()
+    assert maps.attrs["misfit_over_tolerance"] < 3
+    (warning,) = json.loads(maps.attrs["unusual"])
+    assert "was not measured" in warning
+
+
+def test_a_model_that_does_not_fit_is_said(columns):
+    """The sample is taken for too thick by a factor of two, which no stiffness makes good."""
+    result = computed(columns, known(columns, thickness=2.0), element_size=0.25)
+    (warning,) = json.loads(result.maps.attrs["unusual"])
+    assert "noise and mesh explain" in warning
+    assert f"WARNING: {warning}" in summarise(result)
+    assert not json.loads(computed(columns, element_size=0.25).maps.attrs["unusual"])
 
 
 def test_a_sample_that_does_not_fit_is_refused_with_its_place(columns):

@@ -136,6 +136,9 @@ class Estimate:
     misfit, tolerance
         Computed less measured thickness at the layer's nodes at each load, half the estimated error
         of the mesh taken off, and what it may be off by, (loads, ny + 1, nx + 1), mm.
+    measured
+        Whether the thickness was measured there: elsewhere the misfit is that of a surface that
+        goes straight on.
     gain, gain_by_force
         How what is sought answers to the thickness, (sought, loads x nodes), and to the total
         forces, (sought, loads).
@@ -156,6 +159,7 @@ class Estimate:
     pressed: list[Pressed]
     misfit: Array
     tolerance: Array
+    measured: NDArray[np.bool_]
     gain: Array
     gain_by_force: Array
     covariance: Array
@@ -163,6 +167,11 @@ class Estimate:
     refinement: float
     alpha: float
     solutions: list[tuple[int, float]]
+
+    @property
+    def over_tolerance(self) -> float:
+        """Misfit over what it may be off by, root mean square of where it was measured."""
+        return _rms((self.misfit / self.tolerance)[self.measured])
 
 
 def invert(
@@ -261,7 +270,7 @@ class _Search:
             error = _COARSE_ERROR * np.sqrt(np.mean(indentation**2, axis=(1, 2), keepdims=True))
             tolerance = np.hypot(self.noise, error) * np.ones(misfit.shape)
             weight = self._weight(pressed, tolerance)
-            left = _rms(weight * misfit)
+            left = _left(weight * misfit, weight)
             self.solutions.append((pressed[-1].stack.n_elements, left))
             if n > 0 and left <= 1.0:
                 break
@@ -292,7 +301,7 @@ class _Search:
                 of_mesh, tolerance = self._error_of_mesh(misfit, self._misfit(rough))
             misfit += of_mesh
             weight = self._weight(pressed, tolerance)
-            left = _rms(weight * misfit)
+            left = _left(weight * misfit, weight)
             self.solutions.append((pressed[-1].stack.n_elements, left))
             gained = best is None or left < _NO_GAIN * best[0]
             if best is None or left < best[0]:
@@ -320,6 +329,7 @@ class _Search:
             pressed=pressed,
             misfit=misfit,
             tolerance=tolerance,
+            measured=weight > 0,
             gain=covariance @ (jacobian * weight.reshape(-1, 1) ** 2).T,
             gain_by_force=covariance @ system.by_force.T / (_FORCE * self.forces),
             covariance=covariance,
@@ -439,7 +449,7 @@ class _Search:
             matrix[added.row, added.col] += added.data
             factor = cho_factor(matrix)
             step = cho_solve(factor, rhs - alpha * uneven)
-            return step, _rms(left + weighted @ step), factor
+            return step, _left(left + weighted @ step, system.weight), factor
 
         if self.smoothing is not None:
             alpha = self.smoothing
@@ -487,6 +497,11 @@ def first(holds: Callable[[int], bool], last: int, guess: int) -> int:
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+def _left(weighted: Array, weight: Array) -> float:
+    """Root mean square of a weighted misfit, of the nodes that have a weight."""
+    return float(np.sqrt(np.sum(weighted**2) / max(int(np.count_nonzero(weight)), 1)))
 
 
 def _inverse(factor: tuple[Array, bool]) -> Array:

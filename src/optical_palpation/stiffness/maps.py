@@ -16,6 +16,7 @@ from optical_palpation.mechanics.stack.newton import balance
 from optical_palpation.mechanics.stack.problem import LAYER, WINDOW
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.computational import residuals
+from optical_palpation.palpation.plausibility import unusual
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.stack_maps import body_dataset, observed_maps
 from optical_palpation.stiffness.errors import Band, Errors
@@ -32,6 +33,9 @@ Array = NDArray[np.float64]
 _UNKNOWN = 0.5
 #: Half the 95 % band of a height, in thicknesses of the layer, above which nothing is known of it.
 _UNKNOWN_HEIGHT = 0.2
+
+#: Misfit over what noise and mesh explain from which it is said that the model does not fit.
+_DOUBTFUL = 3.0
 
 #: Maps that a result with a sample has more than one without: units and meaning.
 SAMPLE_MAPS = {
@@ -89,9 +93,14 @@ def sample_result(
             xr.Dataset({"algebraic_axial_stress": algebraic, "loaded_thickness": loaded})
         )
     maps = each[-1].copy()
-    _add_stiffness(maps, estimate, errors, blocks, columns)
+    thickness = float(np.median(model.layer.thickness))
+    there = np.meshgrid(x, y)
+    # What is known is known from the thickness above it, which answers to no more than its own
+    # thickness around: beyond that smoothing alone makes a number.
+    near = np.any([surface.distance(*there) <= thickness for surface in measured], axis=0)
+    _add_stiffness(maps, estimate, errors, blocks, columns, near)
     if estimate.sought.relief is not None:
-        _add_relief(maps, estimate.sought.relief, errors, columns, model)
+        _add_relief(maps, estimate.sought.relief, errors, columns, thickness, near)
     stack, state = estimate.pressed[-1].stack, estimate.pressed[-1].state
     maps.attrs = {
         **{key: value for key, value in loads[-1].attrs.items() if key.startswith("source")},
@@ -110,12 +119,32 @@ def sample_result(
         "no_contact_share": algebraic.attrs["no_contact_share"],
         "slip_length_mm": stack.slip_length,
     }
+    maps.attrs["unusual"] = json.dumps([*unusual(blocks.law, maps), *_doubts(estimate, near)])
     return StressResult(
         maps,
         body_dataset(stack, state, LAYER),
         pixels=of_pixels[-1].drop_attrs(deep=False),
         series=_series(each, estimate.sought.travels) if len(each) > 1 else None,
     )
+
+
+def _doubts(estimate: Estimate, near: NDArray[np.bool_]) -> list[str]:
+    """Say what bands do not hold: points not ``near`` measured ones, and a model that is off."""
+    said = []
+    if not near.all():
+        said.append(
+            f"on {1 - near.mean():.0%} of the map the thickness was not measured within a layer's "
+            "thickness around: the sample there is taken to go on as beside it, and the bands of "
+            "stress and force do not hold what it may be instead"
+        )
+    if estimate.over_tolerance > _DOUBTFUL:
+        said.append(
+            f"computed and measured thickness differ by {estimate.over_tolerance:.1f} times what "
+            "noise and mesh explain: something in the model does not fit, and the error may be "
+            "larger than the bands. Check the travel, the thickness and the relief of the sample "
+            "and the unloaded thickness, and see whether smaller elements change it"
+        )
+    return said
 
 
 def as_rigid(results: Sequence[StressResult], sample: Sample, blocks: Blocks) -> StressResult:
@@ -165,6 +194,7 @@ def _of_load(
     there = np.meshgrid(x, y)
     computed = maps["loaded_thickness"].values
     off = computed - surface(there[0].ravel(), there[1].ravel()).reshape(computed.shape)
+    off[~surface.covers(*there)] = np.nan
     beyond = {"fill_value": "extrapolate"}
     maps["loaded_thickness"] = loaded.interp(x=x, y=y, kwargs=beyond)
     maps["algebraic_axial_stress"] = np.minimum(algebraic.interp(x=x, y=y, kwargs=beyond), 0.0)
@@ -195,9 +225,14 @@ def _of_load(
 
 
 def _add_stiffness(
-    maps: xr.Dataset, estimate: Estimate, errors: Errors, blocks: Blocks, columns: Columns
+    maps: xr.Dataset,
+    estimate: Estimate,
+    errors: Errors,
+    blocks: Blocks,
+    columns: Columns,
+    near: NDArray[np.bool_],
 ) -> None:
-    """Add the stiffness of the columns that are at the points of the maps."""
+    """Add the stiffness of the columns that are at the points of the maps, if ``near`` pixels."""
     there = np.meshgrid(maps["x"].values, maps["y"].values)
     moved = [maps[f"sample_displacement_{axis}"].values for axis in "xy"]
     of_column = [points - shift for points, shift in zip(there, moved, strict=True)]
@@ -205,7 +240,8 @@ def _add_stiffness(
     spread = np.sqrt(np.diag(estimate.covariance)[order.of_stiffness])
     unknown = spread.reshape(columns.shape) > _UNKNOWN
     known = columns.at(np.where(unknown, np.nan, 0.0), *of_column) == 0.0
-    known &= (maps["contact_state"].values > 0) & np.isfinite(maps["thickness_misfit"].values)
+    known &= near & (maps["contact_state"].values > 0)
+    known &= np.isfinite(maps["axial_stress"].values)
     modulus = law.shear_modulus * np.exp(columns.at(estimate.sought.stiffness, *of_column))
     modulus = np.where(known, modulus, np.nan)
     new = {
@@ -219,13 +255,18 @@ def _add_stiffness(
 
 
 def _add_relief(
-    maps: xr.Dataset, relief: Array, errors: Errors, columns: Columns, model: Model
+    maps: xr.Dataset,
+    relief: Array,
+    errors: Errors,
+    columns: Columns,
+    thickness: float,
+    near: NDArray[np.bool_],
 ) -> None:
-    """Add the relief that was found, on unloaded positions."""
+    """Add the relief that was found, on unloaded positions ``near`` measured ones."""
     assert errors.relief is not None
     there = np.meshgrid(maps["x"].values, maps["y"].values)
     error = np.clip(columns.surface(errors.relief)(*there), 0.0, None)
-    known = error < _UNKNOWN_HEIGHT * float(np.median(model.layer.thickness))
+    known = near & (error < _UNKNOWN_HEIGHT * thickness)
     height = np.where(known, columns.surface(relief - relief.mean())(*there), np.nan)
     for name, values in (
         ("sample_relief", height),
@@ -286,7 +327,6 @@ def _of_inversion(
     estimate: Estimate, errors: Errors, measured: Sequence[ThicknessSurface]
 ) -> dict[str, Any]:
     travels, last = estimate.sought.travels, errors.loads[-1]
-    relative = estimate.misfit / estimate.tolerance
     noise = [surface.noise for surface in measured]
     attributes: dict[str, Any] = {"compression_mm": travels[-1]}
     if last.travel is not None:
@@ -296,8 +336,8 @@ def _of_inversion(
     return {
         **attributes,
         "thickness_noise_mm": float(np.sqrt(np.mean(np.square(noise)))),
-        "thickness_misfit_mm": float(np.sqrt(np.mean(estimate.misfit**2))),
-        "misfit_over_tolerance": float(np.sqrt(np.mean(relative**2))),
+        "thickness_misfit_mm": float(np.sqrt(np.mean(estimate.misfit[estimate.measured] ** 2))),
+        "misfit_over_tolerance": estimate.over_tolerance,
         "regularisation": estimate.alpha,
         "forward_solutions": len(estimate.solutions),
         "inversion": json.dumps(

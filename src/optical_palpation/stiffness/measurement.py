@@ -9,6 +9,7 @@ import scipy.sparse as sp
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.ndimage import distance_transform_edt
 from scipy.sparse.linalg import splu
 
 from optical_palpation.errors import InputError
@@ -104,11 +105,22 @@ class ThicknessSurface:
 
     def covers(self, x: Array, y: Array) -> NDArray[np.bool_]:
         """Whether points lie on the map, where it was measured."""
-        on, nearest = np.ones(np.shape(x), dtype=bool), []
+        on = np.ones(np.shape(x), dtype=bool)
         for points, axis in zip((y, x), self.axes, strict=True):
             on &= (points >= axis[0]) & (points <= axis[-1])
-            nearest.append(np.searchsorted(0.5 * (axis[1:] + axis[:-1]), points))
-        return on & self.known[nearest[0], nearest[1]]
+        return on & self.known[self._nearest(x, y)]
+
+    def distance(self, x: Array, y: Array) -> Array:
+        """How far the pixels nearest to points are from one that was measured, mm."""
+        steps = [float(np.diff(axis).mean()) for axis in self.axes]
+        return np.asarray(distance_transform_edt(~self.known, steps)[self._nearest(x, y)])
+
+    def _nearest(self, x: Array, y: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        row, column = (
+            np.searchsorted(0.5 * (axis[1:] + axis[:-1]), points)
+            for points, axis in zip((y, x), self.axes, strict=True)
+        )
+        return row, column
 
 
 def _knots(axis: Array, spacing: float) -> Array:

@@ -29,14 +29,14 @@ from optical_palpation.palpation.plausibility import check_elements
 from optical_palpation.palpation.progress import Progress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.threads import limited_threads
-from optical_palpation.stiffness.errors import Errors, propagated
+from optical_palpation.stiffness.errors import propagated
 from optical_palpation.stiffness.forward import Columns, Model, Sought
 from optical_palpation.stiffness.inversion import Estimate, invert
 from optical_palpation.stiffness.maps import as_rigid, sample_result
 from optical_palpation.stiffness.measurement import ThicknessSurface
 from optical_palpation.stiffness.sample import Sample, as_loads, check_sample
 from optical_palpation.thickness.cleaning import clean_thickness
-from optical_palpation.thickness.frames import layer_extent_of, smooth_map
+from optical_palpation.thickness.frames import layer_extent_of, on_grid, smooth_map
 from optical_palpation.thickness.initial import match_initial_thickness
 
 Array = NDArray[np.float64]
@@ -51,6 +51,8 @@ _FAR_OFF = 0.1
 #: Share of the travel that a sample must take, or it is as good as rigid: nobody knows the travel
 #: much better.
 _RIGID = 0.03
+#: By so many standard deviations of its surface a layer is thinner where something touches it.
+_TOUCHING = 5.0
 #: Share of the sample's thickness that the travel has more than the layer takes, to begin with.
 _GUESS = 0.15
 #: Error of a total force that is only checked.
@@ -106,8 +108,9 @@ def sample_stress(
         Maps as of ``computational_stress``, and on ``(y, x)``: ``sample_shear_modulus`` and
         ``sample_youngs_modulus``, kPa, of the column of the sample that is there under load (NaN
         where nothing is known of it), ``sample_displacement_x`` and ``sample_displacement_y``, mm,
-        ``thickness_misfit``, computed less measured, mm, half the estimated error of the mesh taken
-        off, and half the width of 95 % bands:
+        ``thickness_misfit``, computed less measured, mm (NaN where it was not measured; from the
+        attributes half the estimated error of the mesh is taken off), and half the width of 95 %
+        bands:
         ``axial_stress_error``, kPa, and ``sample_modulus_error``, as a share of the modulus. They
         are those of the last load; ``series`` has them for each ``load``. Where the relief was
         sought, ``sample_relief`` and ``sample_relief_error``, mm, on unloaded positions.
@@ -131,6 +134,7 @@ def sample_stress(
     if input_errors is not None:
         input_errors.check_thickness(thickness)
     check_elements(element_size, (x1 - x0, y1 - y0), thickness, "the thickness of the layer")
+    relief = on_grid(sample.relief) if isinstance(sample.relief, xr.DataArray) else None
     blocks = Blocks(
         extent=extent,
         thickness=smooth_map(initial),
@@ -138,7 +142,7 @@ def sample_stress(
         sample_size=sample.size or (x1 - x0, y1 - y0),
         sample_thickness=sample.thickness,
         sample_law=sample.law or NeoHookean(c10=0.5 * material.shear_modulus),
-        relief=smooth_map(sample.relief) if isinstance(sample.relief, xr.DataArray) else _flat,
+        relief=_flat if relief is None else smooth_map(relief),
         friction=(window_friction, sample_friction, sample.plate_friction),
         travel=0.0 if sample.travels is None else sample.travels[-1],
     )
@@ -151,14 +155,21 @@ def sample_stress(
         measured = [replace(each, noise=noise) for each in measured]
     start = _start(measured, blocks, columns, sample)
     if start is None:
-        return as_rigid(
-            [
-                _on_imprint(each, initial_thickness, blocks, element_size, threads, progress)
-                for each in loads
-            ],
+        still = [
+            _on_imprint(
+                each, initial_thickness, blocks, element_size, input_errors, threads, progress
+            )
+            for each in loads
+        ]
+        of_each = [result.maps.attrs for result in still]
+        parts = "force_error_mN", "force_mesh_error_mN"
+        _check_force(
             sample,
-            blocks,
+            sample.travels or (),
+            [attrs["window_force_mN"] for attrs in of_each],
+            [float(np.hypot(*(attrs.get(name, 0.0) for name in parts))) for attrs in of_each],
         )
+        return as_rigid(still, sample, blocks)
     blocks = replace(blocks, travel=start.travels[-1])
     fine, coarse = _models(blocks, Mesh(element_size), columns, thickness)
     solved = 0
@@ -188,7 +199,12 @@ def sample_stress(
             f"{failure.reason}. Check the compression and the "
             "thickness of the sample, or try another element_size"
         ) from None
-    _check_force(sample, estimate, errors)
+    _check_force(
+        sample,
+        estimate.sought.travels,
+        [pressed.force for pressed in estimate.pressed],
+        [band.force for band in errors.loads],
+    )
     return sample_result(estimate, errors, loads, initial_thickness, sample, fine, measured)
 
 
@@ -218,7 +234,13 @@ def _models(blocks: Blocks, mesh: Mesh, columns: Columns, thickness: float) -> t
 def _start(
     measured: Sequence[ThicknessSurface], blocks: Blocks, columns: Columns, sample: Sample
 ) -> Sought | None:
-    """What to begin with: columns of layer and sample as springs; None if the sample is rigid."""
+    """What to begin with: columns of layer and sample as springs; None if the sample is rigid.
+
+    Raises
+    ------
+    InputError
+        If nothing touches, or the plate moved less than the layer gave way.
+    """
     law, forces = blocks.sample_law, sample.travels is None
     travels = sample.travels or (0.0,) * len(measured)
     springs = [_springs(m, blocks, columns, t) for m, t in zip(measured, travels, strict=True)]
@@ -229,20 +251,37 @@ def _start(
         springs = [_springs(m, blocks, columns, t) for m, t in zip(measured, travels, strict=True)]
     last = springs[-1]
     if not sample.relief_is_sought:
-        if not forces and last.shorter < _RIGID * travels[-1]:
+        if not forces and _is_rigid(last.shorter, travels[-1]):
             return None
         level = np.log(last.stress / (3 * last.strain * law.shear_modulus))
         return Sought(np.full(columns.shape, level), travels)
     # The relief takes none of what is added from load to load.
     first = springs[0]
     shorter = last.shorter - first.shorter
-    if shorter < _RIGID * (travels[-1] - travels[0]):
+    if _is_rigid(shorter, travels[-1] - travels[0]):
         return None
     stress, strain = max(last.stress - first.stress, 0.1 * last.stress), shorter / sample.thickness
     level = np.log(stress / (3 * strain * law.shear_modulus))
     # Flat, and touched at each load: springs of their own would take much of the stiffness for it.
     gap = min(last.shorter - last.stress * shorter / stress, 0.5 * travels[0])
     return Sought(np.full(columns.shape, level), travels, np.full(columns.corners, -gap))
+
+
+def _is_rigid(shorter: float, travel: float) -> bool:
+    """Whether a sample that gets so much shorter takes next to nothing of a travel.
+
+    Raises
+    ------
+    InputError
+        If it would get longer.
+    """
+    if shorter < -_RIGID * travel:
+        raise InputError(
+            f"sample: where it touches, the layer gave way by {-shorter:.3g} mm more than a "
+            f"compression of {travel:.3g} mm and the relief leave it: the plate cannot have moved "
+            "so little. Check the compression, the relief and the unloaded thickness"
+        )
+    return shorter < _RIGID * travel
 
 
 @dataclass(frozen=True)
@@ -269,9 +308,18 @@ def _springs(
     loaded = measured(x.ravel(), y.ravel()).reshape(x.shape)
     stretch = np.clip(np.where(inside, loaded, np.nan) / unloaded, 0.05, 1.0)
     apart = (unloaded + height).max() - unloaded - height
-    shorter = travel - apart - unloaded * (1 - stretch)
+    thinner = unloaded * (1 - stretch)
+    shorter = travel - apart - thinner
     pressure = blocks.law.strain_adjusted_modulus(stretch - 1) * (1 - stretch)
-    touching = stretch < 1.0
+    # Noise makes half of what nothing touches thinner, too.
+    touching = thinner > _TOUCHING * measured.noise / np.sqrt(measured.pixels)
+    if travel:
+        touching &= apart < travel
+    if not touching.any():
+        raise InputError(
+            "the sample does not touch the layer: where the two could meet, that is nowhere "
+            f"thinner than unloaded by more than its noise, {1e3 * measured.noise:.2g} um a pixel"
+        )
     strain = shorter / (blocks.sample_thickness + height)
     each = (pressure, shorter, strain, travel - shorter)
     return _Springs(*(float(np.median(values[touching])) for values in each))
@@ -282,6 +330,7 @@ def _on_imprint(
     initial_thickness: float | xr.DataArray,
     blocks: Blocks,
     element_size: float,
+    input_errors: InputErrors | None,
     threads: int | None,
     progress: Callable[[Progress], None] | None,
 ) -> StressResult:
@@ -295,27 +344,29 @@ def _on_imprint(
         window_friction=blocks.friction[0],
         sample_friction=blocks.friction[1],
         element_size=element_size,
+        input_errors=input_errors,
         threads=threads,
         progress=progress,
     )
 
 
-def _check_force(sample: Sample, estimate: Estimate, errors: Errors) -> None:
+def _check_force(
+    sample: Sample, travels: Sequence[float], forces: Sequence[float], bands: Sequence[float]
+) -> None:
     """Refuse a total force that the travel of the plate contradicts.
 
     Raises
     ------
     ConvergenceError
     """
-    travels = estimate.sought.travels
-    for force, pressed, band, travel in zip(
-        sample.forces or (), estimate.pressed, errors.loads, travels, strict=False
+    for given, travel, force, band in zip(
+        sample.forces or (), travels, forces, bands, strict=False
     ):
-        if abs(pressed.force - force) > band.force + _FORCE_READING * force:
+        if abs(force - given) > band + _FORCE_READING * given:
             raise ConvergenceError(
                 f"sample: compression and total force contradict each other: with a travel of "
-                f"{travel:.3g} mm the force would be {pressed.force:.4g} +- {band.force:.2g} mN, "
-                f"not {force:g} mN. Give the one that is known better"
+                f"{travel:.3g} mm the force would be {force:.4g} +- {band:.2g} mN, "
+                f"not {given:g} mN. Give the one that is known better"
             )
 
 
@@ -332,29 +383,33 @@ def _check_fit(estimate: Estimate) -> None:
     y, x = (
         np.minimum(nodes - nodes[0], nodes[-1] - nodes) >= thickness for nodes in (grid.y, grid.x)
     )
-    inside = y[:, None] & x  # the rim rolls, which the mesh decides
-    if not inside.any():
-        inside[:] = True
-
-    def mean(values: Array) -> float:
-        return float(np.sqrt(np.mean(values[inside] ** 2)))
-
+    interior = y[:, None] & x  # the rim rolls, which the mesh decides
     # that of the last load counts: an early one of little contact tells little
-    indentation = mean(grid.thickness - estimate.pressed[-1].surface[2])
+    indentation = grid.thickness - estimate.pressed[-1].surface[2]
     count = len(estimate.pressed)
-    for n, (pressed, all_misfit) in enumerate(
-        zip(estimate.pressed, estimate.misfit, strict=True), start=1
+    for n, (pressed, all_misfit, measured) in enumerate(
+        zip(estimate.pressed, estimate.misfit, estimate.measured, strict=True), start=1
     ):
-        misfit, surface = np.where(inside, all_misfit, 0.0), pressed.surface
+        inside = interior & measured
+        if not inside.any():
+            inside = measured
+
+        def mean(values: Array, inside: NDArray[np.bool_] = inside) -> float:
+            return float(np.sqrt(np.mean(values[inside] ** 2)))
+
+        misfit = np.where(inside, all_misfit, 0.0)
         left, off = mean(misfit / estimate.tolerance[n - 1]), mean(misfit)
-        if left <= _NO_FIT and off <= _FAR_OFF * indentation:
+        share = off / mean(indentation)
+        if left <= _NO_FIT and share <= _FAR_OFF:
             continue
         worst = np.unravel_index(int(np.abs(misfit).argmax()), misfit.shape)
-        at_x, at_y, _ = surface[:, worst[0], worst[1]]
+        at_x, at_y, _ = pressed.surface[:, worst[0], worst[1]]
         here = "" if count == 1 else f" of load {n}"
+        coarse = ", or use smaller elements: those may be what is off" if left <= _NO_FIT else ""
         raise ConvergenceError(
             f"no stiffness of the sample explains the loaded thickness{here}: it stays off by "
-            f"{1e3 * off:.3g} um ({off / indentation:.0%} of the indentation, {left:.1f} times "
+            f"{1e3 * off:.3g} um ({share:.0%} of the indentation, {left:.1f} times "
             f"what noise and mesh explain), most at x = {at_x:.2f}, y = {at_y:.2f} mm. Check the "
             "compression, the thickness and the relief of the sample, and the unloaded thickness"
+            + coarse
         )
