@@ -429,7 +429,7 @@ class _Nested:
         given = make_solver(level, self.solver)
         if isinstance(given, DirectSolver) or level.grid.n_elements > _EXACT:
             return given
-        return Solvers(given, make_solver(level, "direct"))
+        return Solvers(given, direct_solver(level))
 
 
 def make_solver(problem: LayerProblem, name: str) -> LinearSolver:

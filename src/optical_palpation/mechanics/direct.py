@@ -1,21 +1,18 @@
-"""The reference linear solver: sparse LU from a library, of displacement and pressure."""
+"""The reference linear solver: exact, of displacement and pressure."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
+import math
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import numba as nb
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
-from threadpoolctl import threadpool_limits
 
 from .elements import corner_nodes
-from .factors import Factors
+from .factors import Dissection, Factors
 from .problem import LayerProblem
 from .system import NewtonSystem, RightHandSide, with_prescribed
 
@@ -23,7 +20,7 @@ Vector = NDArray[np.floating]
 
 
 class DirectSolver:
-    """Solve Newton systems exactly, with MKL PARDISO where it is installed, else SuperLU.
+    """Solve Newton systems exactly.
 
     Memory grows faster than the number of elements; meant for small grids and as the reference.
     """
@@ -31,12 +28,17 @@ class DirectSolver:
     dtype: ClassVar[type[np.floating]] = np.float64
 
     def __init__(self, node_shape: tuple[int, int, int], penalty: float) -> None:
-        nz1, ny1, nx1 = node_shape
+        nz1, ny1, nx1 = self._node_shape = node_shape
         #: Penalty of the displacement block; the solution is the same for all. The bulk modulus
         #: condenses the pressure, unless sides are curved.
         self.gamma = penalty
         #: [z, y, neighbour, 3 * row + column, x].
         self.stencil = np.empty((nz1, ny1, 27, 9, nx1))
+
+    @property
+    def work(self) -> float:
+        """Multiplications and additions that a solution takes for each node, about."""
+        return dissection(self._node_shape).operations / math.prod(self._node_shape)
 
     def store(self, k: int, plane: Vector) -> None:
         """Take plane k of the displacement block."""
@@ -56,7 +58,10 @@ class DirectSolver:
         system = self.system
         matrix = sparse_matrix(system.stencil, system.free)
         if system.flow is None and system.gamma == system.bulk_modulus:  # dp follows from du
-            u: Vector = _displacement(matrix, rhs.displacement)
+            unknowns = np.arange(rhs.displacement.size).reshape(3, -1).T
+            factors = Factors(matrix, dissection(self._node_shape), unknowns)
+            u: Vector = factors.solve(rhs.displacement.astype(float).reshape(-1, 1))
+            u = u.reshape(rhs.displacement.shape)
             p: Vector = system.bulk_modulus / system.volume * (system.volume_change(u) - rhs.volume)
             return with_prescribed(u, rhs.prescribed), p, 1
         out, into = _pressure_blocks(system)
@@ -64,7 +69,8 @@ class DirectSolver:
         share = sp.diags_array(system.gamma / system.volume.ravel()) @ compression
         out = out @ (sp.eye_array(system.volume.size) - share)
         whole = sp.csr_matrix(sp.block_array([[matrix, out], [into, -compression]]))
-        both = sparse_solve(whole, np.concatenate([rhs.displacement.ravel(), rhs.volume.ravel()]))
+        lu = splu(whole.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        both = lu.solve(np.concatenate([rhs.displacement.ravel(), rhs.volume.ravel()]))
         u = both[: system.free.size].reshape(system.free.shape)
         p = both[system.free.size :].reshape(system.volume.shape)
         return with_prescribed(u, rhs.prescribed), p, 1
@@ -76,18 +82,14 @@ def direct_solver(problem: LayerProblem) -> DirectSolver:
     return DirectSolver(problem.grid.node_shape, penalty)
 
 
-def _displacement(matrix: sp.csr_matrix, rhs: Vector) -> Vector:
-    """Solve for a field (3, nz + 1, ny + 1, nx + 1) of three unknowns per node."""
-
-    def dissected(matrix: sp.csr_matrix, flat: Vector) -> Vector:
-        by_node = np.arange(rhs.size).reshape(3, -1).T.ravel()
-        lateral = np.indices(rhs.shape[1:])[1:].reshape(2, -1).T.astype(float)
-        factors = Factors(sp.csr_matrix(matrix[by_node][:, by_node]), lateral)
-        solution = np.empty(rhs.size)
-        solution[by_node] = factors.solve(flat.astype(float)[by_node, None])[:, 0]
-        return solution
-
-    return sparse_solve(matrix, rhs.ravel(), dissected, symmetric_pattern=True).reshape(rhs.shape)
+@lru_cache(maxsize=64)
+def dissection(node_shape: tuple[int, int, int]) -> Dissection:
+    """How the nodes of a grid (nz + 1, ny + 1, nx + 1) are eliminated."""
+    near = [sp.diags([1.0, 1.0, 1.0], [-1, 0, 1], shape=(n, n)) for n in node_shape]
+    graph = sp.csr_matrix(sp.kron(near[0], sp.kron(near[1], near[2])))
+    graph.eliminate_zeros()
+    lateral = np.indices(node_shape)[1:].reshape(2, -1).T.astype(float)
+    return Dissection(graph, lateral)
 
 
 def _pressure_blocks(system: NewtonSystem) -> tuple[sp.csr_matrix, sp.csr_matrix]:
@@ -138,43 +140,6 @@ def _compression(system: NewtonSystem) -> sp.csr_matrix:
         others = np.concatenate([there.ravel(), here.ravel()])
         matrix = matrix - sp.csr_matrix((np.tile(beside.ravel(), 2), (pairs, others)), matrix.shape)
     return sp.csr_matrix(matrix)
-
-
-def _by_minimum_degree(matrix: sp.csr_matrix, rhs: Vector) -> Vector:
-    lu = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-    return lu.solve(rhs)
-
-
-def sparse_solve(
-    matrix: sp.csr_matrix,
-    rhs: Vector,
-    otherwise: Callable[[sp.csr_matrix, Vector], Vector] = _by_minimum_degree,
-    symmetric_pattern: bool = False,
-) -> Vector:
-    """Solve one sparse linear system with MKL PARDISO, or ``otherwise`` where there is none.
-
-    Where the entries stand symmetrically, whatever their values, that takes three quarters of the
-    time.
-    """
-    try:
-        solver = pardiso(mtype=1 if symmetric_pattern else 11)
-    except ImportError:
-        return otherwise(matrix, rhs)
-    try:
-        # MKL is loaded only here, after the threads of the run were set
-        with threadpool_limits(nb.get_num_threads(), user_api="blas"):
-            return solver.solve(matrix, rhs)
-    finally:
-        solver.free_memory(everything=True)
-
-
-def pardiso(**options: Any) -> Any:
-    """Return a new solver of MKL PARDISO; ImportError where that is not installed."""
-    import pypardiso
-
-    # Else every new solver seeks the library of MKL in the folders of Python, for half a second.
-    os.environ.setdefault("PYPARDISO_MKL_RT", pypardiso.ps.libmkl._name)
-    return pypardiso.PyPardisoSolver(**options)
 
 
 def sparse_matrix(stencil: Vector, free: NDArray[np.bool_]) -> sp.csr_matrix:

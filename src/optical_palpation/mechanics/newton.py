@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .contact import ContactLinearisation, linearise, remember_slip, slip_coordinate
-from .direct import direct_solver
+from .direct import DirectSolver, direct_solver
 from .elimination import Box, part, put_back, unbalanced_columns
 from .friction import direction_step, friction_direction
 from .grid import contact_nodes, face_and_sides
@@ -70,9 +70,9 @@ _CLOSE, _TO_THE_END = 1e-2, 200
 #: after so many iterations of the linear solver: where a rim folds, more of them cost more than
 #: another step.
 _ROUGH, FINE = 8, 30_000
-#: Iterations of the linear solver from which on an exact one is the quicker on a small grid, and
-#: how many systems in a row it then solves.
-_LONG, _ROW = 40, 3
+#: Work of an iteration of the linear solver on each node, in operations of the exact one; most
+#: iterations after which a system is solved exactly, and the systems in a row that then are.
+_ITERATION, _LONG, _ROW = 2e4, 40, 3
 #: Margin, in columns, around those that are brought into equilibrium alone: at first, by how much
 #: it grows where that leaves more than half of the time before out of balance, and the most.
 _MARGIN, _WIDER, _WIDEST = 3, 2, 12
@@ -267,7 +267,7 @@ class Solvers:
     """
 
     iterative: LinearSolver
-    exact: LinearSolver
+    exact: DirectSolver
     row: int = field(default=0, init=False)
 
     def step(
@@ -275,7 +275,8 @@ class Solvers:
     ) -> Direction[Balance]:
         """Return where fractions of a Newton step lead."""
         if self.row == 0:
-            quickly = replace(tolerances, krylov=min(_LONG, tolerances.krylov))
+            long = min(1 + int(self.exact.work / _ITERATION), _LONG)
+            quickly = replace(tolerances, krylov=min(long, tolerances.krylov))
             try:
                 return _newton_step(problem, now, self.iterative, quickly, damping)
             except HardSystem:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..body import Body
 from ..direct import sparse_matrix
 from ..elements import GRADIENTS, internal_force
-from ..factors import Factors
+from ..factors import Dissection, Factors
 from ..side_contact import SideContact
 from .contact import ContactTerms
 from .newton import balance
@@ -68,7 +68,9 @@ class Tangent:
         matrix = matrix + hold * sp.eye_array(matrix.shape[0])
         lateral = [body.nodes[:2].reshape(2, -1).T for body in stack.bodies]
         self.matrix = sp.csr_matrix(matrix)
-        self._factors = Factors(self.matrix, np.concatenate(lateral))
+        unknowns = np.arange(3 * stack.n_nodes).reshape(-1, 3)
+        dissection = Dissection(_graph(self.matrix), np.concatenate(lateral))
+        self._factors = Factors(self.matrix, dissection, unknowns)
 
     def by_travel(self) -> Array:
         """Derivative of the nodal forces out of balance by the travel of the plate, (3 n_nodes)."""
@@ -80,6 +82,15 @@ class Tangent:
     def displacement(self, force: Array) -> Array:
         """Displacements (3 n_nodes, m), mm, that balance nodal forces (3 n_nodes, m), mN."""
         return self._factors.solve(force)
+
+
+def _graph(matrix: sp.csr_matrix) -> sp.csr_matrix:
+    """Which nodes have entries with which, of a matrix node by node."""
+    rows, columns = matrix.nonzero()
+    nodes = matrix.shape[0] // 3
+    ones = np.ones(rows.size)
+    graph = sp.csr_matrix((ones, (rows // 3, columns // 3)), shape=(nodes, nodes))
+    return sp.csr_matrix(graph + graph.T)
 
 
 def _stiffness(body: Body, u: Array, p: Array) -> sp.csr_matrix:
