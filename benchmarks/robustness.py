@@ -345,7 +345,7 @@ def main() -> None:
     cases = [random_case(arguments.first + n) for n in range(arguments.maps)]
     outcomes = []
     # one thread each, the libraries' own included, or the maps would stand in each other's way
-    os.environ |= {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    os.environ |= {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     with ProcessPoolExecutor(arguments.jobs, mp_context=get_context("spawn")) as pool:
         futures = [pool.submit(attempt, c, arguments.solver, arguments.limit) for c in cases]
         for future in futures:
