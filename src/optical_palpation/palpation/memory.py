@@ -24,8 +24,8 @@ _FIXED = 4e6
 #: Bytes per element of layer and sample, of runs with a sample, and those whatever the size.
 _STACK, _STACK_FIXED = 4900.0, 3e7
 #: Bytes per node of the sparse matrix on its way to the direct solver, and per node and node of
-#: the depth of its factors, which grow with the logarithm of the lateral size besides.
-_MATRIX, _FACTORS = 20000.0, 400.0
+#: the depth of its fronts, which grow with the logarithm of the lateral size besides.
+_MATRIX, _FACTORS = 14000.0, 750.0
 #: Address space that linear algebra libraries take for each thread once they are used.
 _WORK = 6.4e7
 #: Share of the available memory that a run may be predicted to take.
