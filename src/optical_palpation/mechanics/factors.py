@@ -4,9 +4,10 @@ A layer is much wider than deep, so its matrix is that of a sheet. A row of node
 halves that share no entry, and each half is cut again (George 1973). From the smallest parts up,
 each *front* eliminates its ``pivots``, the nodes of a cut or of an uncut part, and changes the
 entries among its ``border``, the nodes next to them that come later (the multifrontal method of
-Duff and Reid 1983). Fronts are dense, so that nearly all work is products of matrices.
+Duff and Reid 1983). Fronts are dense, and their pivots are taken in panels, so that nearly all work
+is products of matrices.
 
-Pivots are sought within blocks of a few nodes only. Where that is not good enough the solution is
+Rows are exchanged within a panel only, and seldom. Where that is not good enough the solution is
 not finite, or has a residual, and Newton's method sees it.
 """
 
@@ -34,8 +35,11 @@ Numbers = NDArray[np.intp]
 _SMALL = 16
 #: Cuts above the subtrees that threads take one by one.
 _SUBTREES = 3
-#: Unknowns up to which a block is inverted entry by entry.
-_ENTRIES = 32
+#: Most pivots, unknowns, of a panel.
+_PANEL = 32
+#: Share of the largest entry of its column in a panel below which a pivot is exchanged. Each row of
+#: a stiff matrix has its own largest entry on the diagonal, which is lost with the exchange.
+_EXCHANGED = 1e-8
 #: Right-hand sides that are solved for together.
 _TOGETHER = 32
 
@@ -142,7 +146,7 @@ class Dissection:
             borders=_begins([len(nodes) for nodes in borders]),
             children=np.array([c for family in families for c in family], np.intp),
             families=_begins([len(family) for family in families]),
-            factors=_begins(p * p + 2 * p * b),
+            factors=_begins(_entries(p, b)),
             updates=updates,
             subtrees=np.array(subtrees, np.intp),
             shared=shared,
@@ -207,6 +211,14 @@ class Factors:
 @cache
 def _libraries() -> ThreadpoolController:
     return ThreadpoolController()
+
+
+def _entries(p: Numbers, b: Numbers) -> Numbers:
+    """How many entries the factors of fronts of p pivots and b unknowns of a border have."""
+    panels, last = p // _PANEL, p % _PANEL
+    beside = p * (p + b) - panels * _PANEL * ((panels + 1) * _PANEL) // 2 - last * p
+    within = panels * _PANEL**2 + last**2
+    return np.asarray(2 * (beside + within))
 
 
 def _begins(lengths: NDArray | list[int]) -> Numbers:
@@ -279,138 +291,104 @@ def _eliminate_subtrees(rows, columns, numbers, fronts, values, shared, begin, e
 
 @nb.njit(fastmath=True, error_model="numpy")
 def _eliminate_front(front, rows, columns, numbers, fronts, values, from_, to, places):
-    """Replace a front F, of pivots P and border B, by its factors.
-
-    These are P^-1, P^-1 F_PB and F_BP. F_BB - F_BP P^-1 F_PB is left to its parent.
-    """
+    """Assemble a front, keep its factors panel by panel, and leave the rest to its parent."""
     unknowns, nodes, components = numbers
     begin, end = fronts.pivots[front], fronts.pivots[front + 1]
     border = fronts.border[fronts.borders[front] : fronts.borders[front + 1]]
-    pp, pb, bp = _parts(front, fronts, values)
-    pp[:] = 0
-    pb[:] = 0
-    bp[:] = 0
-    bb = np.zeros((3 * len(border), 3 * len(border)))
+    p = 3 * (end - begin)
+    size = p + 3 * len(border)
+    f = np.zeros((size, size))
+    for n in range(begin, end):
+        places[n] = 3 * (n - begin)
     for n in range(len(border)):
-        places[border[n]] = 3 * n
+        places[border[n]] = p + 3 * n
     for n in range(begin, end):
         for c in range(3):
             row = unknowns[fronts.order[n], c]
-            here = 3 * (n - begin) + c
+            here = places[n] + c
             starts, indices, entries = rows
             for m in range(starts[row], starts[row + 1]):
                 other = fronts.rank[nodes[indices[m]]]
-                component = components[indices[m]]
-                if other >= end:
-                    pb[here, places[other] + component] += entries[m]
-                elif other >= begin:
-                    pp[here, 3 * (other - begin) + component] += entries[m]
+                if other >= begin:
+                    f[here, places[other] + components[indices[m]]] += entries[m]
             starts, indices, entries = columns
             for m in range(starts[row], starts[row + 1]):
                 other = fronts.rank[nodes[indices[m]]]
                 if other >= end:
-                    bp[places[other] + components[indices[m]], here] += entries[m]
+                    f[places[other] + components[indices[m]], here] += entries[m]
     for n in range(fronts.families[front], fronts.families[front + 1]):
         child = fronts.children[n]
         its = fronts.border[fronts.borders[child] : fronts.borders[child + 1]]
-        size = 3 * len(its)
-        change = from_[fronts.updates[child] : fronts.updates[child] + size * size]
-        inside = np.searchsorted(its, end)
-        for m in range(inside):
-            places[its[m]] = 3 * (its[m] - begin)
+        width = 3 * len(its)
+        change = from_[fronts.updates[child] : fronts.updates[child] + width * width]
         for m in range(len(its)):
             for c in range(3):
-                line = change[(3 * m + c) * size : (3 * m + c + 1) * size]
-                row = places[its[m]] + c
-                if m < inside:
-                    _add(line, pp[row], its, places, 0, inside)
-                    _add(line, pb[row], its, places, inside, len(its))
-                else:
-                    _add(line, bp[row], its, places, 0, inside)
-                    _add(line, bb[row], its, places, inside, len(its))
-    if end > begin:
-        _invert(pp)
-    if bp.size > 0:
-        pb[:] = np.dot(pp, pb)
-        bb -= np.dot(bp, pb)
+                line = change[(3 * m + c) * width : (3 * m + c + 1) * width]
+                to_line = f[places[its[m]] + c]
+                for k in range(len(its)):
+                    there = places[its[k]]
+                    to_line[there] += line[3 * k]
+                    to_line[there + 1] += line[3 * k + 1]
+                    to_line[there + 2] += line[3 * k + 2]
+    at = fronts.factors[front]
+    for k in range(0, p, _PANEL):
+        after = min(k + _PANEL, p)
+        lower, upper = _triangles(f[k:after, k:after].copy())
+        right = np.dot(lower, f[k:after, after:].copy())
+        below = np.dot(f[after:, k:after].copy(), upper)
+        rest = f[after:, after:]
+        rest -= np.dot(below, right)
+        for part in (lower, upper, right, below):
+            values[at : at + part.size] = part.ravel()
+            at += part.size
     first = fronts.updates[front]
-    to[first : first + bb.size] = bb.ravel()
+    to[first : first + (size - p) ** 2] = f[p:, p:].copy().ravel()
 
 
 @nb.njit(fastmath=True, error_model="numpy")
-def _add(line, to, nodes, places, begin, end):
-    for n in range(begin, end):
-        there = places[nodes[n]]
-        to[there] += line[3 * n]
-        to[there + 1] += line[3 * n + 1]
-        to[there + 2] += line[3 * n + 2]
-
-
-@nb.njit(error_model="numpy")
-def _parts(front, fronts, values):
-    """The factors of a front: of pivots by pivots, pivots by border, border by pivots."""
-    p = 3 * (fronts.pivots[front + 1] - fronts.pivots[front])
-    b = 3 * (fronts.borders[front + 1] - fronts.borders[front])
-    first = fronts.factors[front]
-    second, third = first + p * p, first + p * p + p * b
-    return (
-        values[first:second].reshape(p, p),
-        values[second:third].reshape(p, b),
-        values[third : third + p * b].reshape(b, p),
-    )
-
-
-@nb.njit(fastmath=True, error_model="numpy")
-def _invert(a):
-    """Invert a matrix in place, by halves."""
+def _triangles(a):
+    """L^-1 P and U^-1 of a small matrix, P a = L U; the matrix is overwritten."""
     n = len(a)
-    if n <= _ENTRIES:
-        _invert_entries(a)
-        return
-    half = (n // 2 + 7) // 8 * 8
-    first = a[:half, :half].copy()
-    _invert(first)
-    right, below = a[:half, half:].copy(), a[half:, :half].copy()
-    from_right, from_below = np.dot(first, right), np.dot(below, first)
-    rest = a[half:, half:] - np.dot(below, from_right)
-    _invert(rest)
-    mixed = np.dot(rest, from_below)
-    a[:half, :half] = first + np.dot(from_right, mixed)
-    a[:half, half:] = -np.dot(from_right, rest)
-    a[half:, :half] = -mixed
-    a[half:, half:] = rest
-
-
-@nb.njit(fastmath=True, error_model="numpy")
-def _invert_entries(a):
-    """Invert a small matrix in place (Gauss and Jordan), the largest of a column as pivot."""
-    n = len(a)
-    taken = np.arange(n)
+    lower, upper = np.eye(n), np.zeros((n, n))
     for k in range(n):
         best = k
         for i in range(k + 1, n):
             if abs(a[i, k]) > abs(a[best, k]):
                 best = i
-        if best != k:
-            taken[k], taken[best] = taken[best], taken[k]
+        if abs(a[k, k]) > _EXCHANGED * abs(a[best, k]):
+            best = k
+        for matrix in (a, lower):
             for j in range(n):
-                a[k, j], a[best, j] = a[best, j], a[k, j]
-        factor = 1 / a[k, k]
-        row = a[k]
-        row[k] = 1
-        for j in range(n):
-            row[j] *= factor
-        for i in range(n):
-            if i != k:
-                line = a[i]
-                factor = line[k]
-                line[k] = 0
+                matrix[k, j], matrix[best, j] = matrix[best, j], matrix[k, j]
+        for i in range(k + 1, n):
+            factor = a[i, k] / a[k, k]
+            for matrix in (a, lower):
+                line, from_ = matrix[i], matrix[k]
                 for j in range(n):
-                    line[j] -= factor * row[j]
-    swapped = a.copy()
-    for i in range(n):
-        for j in range(n):
-            a[i, taken[j]] = swapped[i, j]
+                    line[j] -= factor * from_[j]
+    for i in range(n - 1, -1, -1):
+        line = upper[i]
+        line[i] = 1.0
+        for k in range(i + 1, n):
+            factor, from_ = a[i, k], upper[k]
+            for j in range(n):
+                line[j] -= factor * from_[j]
+        line /= a[i, i]
+    return lower, upper
+
+
+@nb.njit(error_model="numpy")
+def _panel(values, at, pivots, others):
+    """The parts of a panel, and where the next one begins."""
+    square, beside = pivots * pivots, pivots * others
+    ends = at + square, at + 2 * square, at + 2 * square + beside, at + 2 * (square + beside)
+    return (
+        values[at : ends[0]].reshape(pivots, pivots),
+        values[ends[0] : ends[1]].reshape(pivots, pivots),
+        values[ends[1] : ends[2]].reshape(pivots, others),
+        values[ends[2] : ends[3]].reshape(others, pivots),
+        ends[3],
+    )
 
 
 @nb.njit(cache=True, nogil=True)
@@ -424,24 +402,52 @@ def _solve_blocks(fronts, values, work, begin, end):
     for n in range(begin, end):
         x = work[n]
         for front in range(count):
-            first, after = 3 * fronts.pivots[front], 3 * fronts.pivots[front + 1]
-            pp, _, bp = _parts(front, fronts, values)
-            if after > first:
-                x[first:after] = np.dot(pp, x[first:after])
-            if bp.size == 0:
-                continue
-            change = np.dot(bp, x[first:after])
-            border = fronts.border[fronts.borders[front] : fronts.borders[front + 1]]
-            for m in range(len(border)):
-                for c in range(3):
-                    x[3 * border[m] + c] -= change[3 * m + c]
+            _forwards(front, fronts, values, x)
         for front in range(count - 1, -1, -1):
-            first, after = 3 * fronts.pivots[front], 3 * fronts.pivots[front + 1]
-            _, pb, _ = _parts(front, fronts, values)
-            if pb.size == 0:
-                continue
-            border = fronts.border[fronts.borders[front] : fronts.borders[front + 1]]
-            known = np.empty((3 * len(border), x.shape[1]))
-            for m in range(len(border)):
-                known[3 * m : 3 * m + 3] = x[3 * border[m] : 3 * border[m] + 3]
-            x[first:after] -= np.dot(pb, known)
+            _backwards(front, fronts, values, x)
+
+
+@nb.njit(fastmath=True, error_model="numpy")
+def _gathered(front, fronts, x):
+    """The rows of pivots and border of a front, and how many of them are pivots."""
+    begin, end = fronts.pivots[front], fronts.pivots[front + 1]
+    border = fronts.border[fronts.borders[front] : fronts.borders[front + 1]]
+    p = 3 * (end - begin)
+    own = np.empty((p + 3 * len(border), x.shape[1]))
+    own[:p] = x[3 * begin : 3 * end]
+    for n in range(len(border)):
+        own[p + 3 * n : p + 3 * n + 3] = x[3 * border[n] : 3 * border[n] + 3]
+    return own, p
+
+
+@nb.njit(fastmath=True, error_model="numpy")
+def _forwards(front, fronts, values, x):
+    own, p = _gathered(front, fronts, x)
+    at = fronts.factors[front]
+    for k in range(0, p, _PANEL):
+        after = min(k + _PANEL, p)
+        lower, _, _, below, at = _panel(values, at, after - k, len(own) - after)
+        own[k:after] = np.dot(lower, own[k:after])
+        if after < len(own):
+            own[after:] -= np.dot(below, own[k:after])
+    begin = fronts.pivots[front]
+    x[3 * begin : 3 * begin + p] = own[:p]
+    border = fronts.border[fronts.borders[front] : fronts.borders[front + 1]]
+    for n in range(len(border)):
+        x[3 * border[n] : 3 * border[n] + 3] = own[p + 3 * n : p + 3 * n + 3]
+
+
+@nb.njit(fastmath=True, error_model="numpy")
+def _backwards(front, fronts, values, x):
+    own, p = _gathered(front, fronts, x)
+    at = fronts.factors[front + 1]
+    for k in range((p - 1) // _PANEL * _PANEL, -1, -_PANEL):
+        after = min(k + _PANEL, p)
+        m, others = after - k, len(own) - after
+        at -= 2 * m * (m + others)
+        _, upper, right, _, _ = _panel(values, at, m, others)
+        if others > 0:
+            own[k:after] -= np.dot(right, own[after:])
+        own[k:after] = np.dot(upper, own[k:after])
+    begin = fronts.pivots[front]
+    x[3 * begin : 3 * begin + p] = own[:p]
