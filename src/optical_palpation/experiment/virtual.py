@@ -137,7 +137,7 @@ def run_experiment(
         maps["loaded_thickness"], scene.layer.thickness, scene.layer.material
     )
     window, interface, plate = stack.total_forces(state)
-    maps.attrs = {
+    maps.attrs |= {
         "method": "virtual experiment",
         **scene.layer.material.attributes,
         "bulk_to_shear": scene.layer.bulk_to_shear,

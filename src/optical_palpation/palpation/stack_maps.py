@@ -23,10 +23,11 @@ from optical_palpation.mechanics.stack.problem import (
 from optical_palpation.palpation.result import ContactState
 from optical_palpation.palpation.surface import (
     SLIP_SHARE,
+    MapReading,
+    force_on_map,
     material_points,
     per_area,
     surface_axial_stress,
-    surface_field,
 )
 
 Array = NDArray[np.float64]
@@ -80,7 +81,7 @@ def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
         **{f"traction_{c}": traction[n] for n, c in enumerate("xyz")},
     }
     target = np.stack(np.meshgrid(y, x, indexing="ij"), axis=-1)
-    at_sample, outside = material_points(grid, surface[0], surface[1], target)
+    at = MapReading(grid, surface[0], surface[1], x, y)
     at_window, _ = material_points(grid, position[0, 0], position[1, 0], target)
     maps = xr.Dataset(
         coords={
@@ -88,8 +89,8 @@ def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
             "x": ("x", x, {"units": "mm", "long_name": "lateral position x"}),
         }
     )
-    thickness = _smooth(grid, surface[2], at_sample) - _smooth(grid, position[2, 0], at_window)
-    thickness[outside] = np.nan
+    thickness = _smooth(grid, surface[2], at.reference) - _smooth(grid, position[2, 0], at_window)
+    thickness[at.outside] = np.nan
     millimetres = {"units": "mm"}
     unloaded = np.full(thickness.shape, float(grid.thickness.mean()))
     for name, values in (("unloaded_thickness", unloaded), ("loaded_thickness", thickness)):
@@ -108,10 +109,9 @@ def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
             {**millimetres, "long_name": text},
         )
     for name, text in _STRESSES.items():
-        values = surface_field(grid, fields[name])(at_sample)
+        values = at.read(fields[name])
         if name == "contact_pressure":
             values = np.maximum(values, 0.0)  # a cubic may overshoot where contact ends
-        values[outside] = np.nan
         maps[name] = (("y", "x"), values, {"units": "kPa", "long_name": text})
     for name, contact in (("contact_state", INTERFACE), ("window_contact_state", WINDOW)):
         slaves = stack.contacts[contact].slaves.ravel()
@@ -121,6 +121,7 @@ def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
         reach = np.sqrt(stack.areas[contact])[nearest]
         values = np.where(distance < reach, values, ContactState.OPEN).astype(np.int8)
         maps[name] = (("y", "x"), values, {"long_name": name.replace("_", " "), **_FLAGS})
+    maps.attrs = force_on_map(maps, {"x": surface[0], "y": surface[1], **fields})
     return maps
 
 

@@ -210,7 +210,7 @@ def _of_load(
     window, interface, plate = stack.total_forces(state)
     sides = window - float(state.forces[WINDOW].sum())
     largest = max(window, interface, plate)
-    maps.attrs = {
+    maps.attrs |= {
         "window_force_mN": window,
         "sample_force_mN": interface,
         "plate_force_mN": plate,
