@@ -70,9 +70,10 @@ _CLOSE, _TO_THE_END = 1e-2, 200
 #: after so many iterations of the linear solver: where a rim folds, more of them cost more than
 #: another step.
 _ROUGH, FINE = 8, 30_000
-#: Work of an iteration of the linear solver on each node, in operations of the exact one; most
-#: iterations after which a system is solved exactly, and the systems in a row that then are.
-_ITERATION, _LONG, _ROW = 2e4, 40, 3
+#: Work of an iteration of the linear solver on each node, in operations of the exact one, and the
+#: iterations that take as long as what the exact one does besides; most iterations after which a
+#: system is solved exactly, and the systems in a row that then are.
+_ITERATION, _BESIDES, _LONG, _ROW = 2e4, 6, 40, 3
 #: Margin, in columns, around those that are brought into equilibrium alone: at first, by how much
 #: it grows where that leaves more than half of the time before out of balance, and the most.
 _MARGIN, _WIDER, _WIDEST = 3, 2, 12
@@ -275,7 +276,7 @@ class Solvers:
     ) -> Direction[Balance]:
         """Return where fractions of a Newton step lead."""
         if self.row == 0:
-            long = min(1 + int(self.exact.work / _ITERATION), _LONG)
+            long = min(_BESIDES + int(self.exact.work / _ITERATION), _LONG)
             quickly = replace(tolerances, krylov=min(long, tolerances.krylov))
             try:
                 return _newton_step(problem, now, self.iterative, quickly, damping)
