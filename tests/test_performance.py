@@ -19,7 +19,7 @@ def test_the_probe_sees_every_phase_and_leaves_no_trace():
     with Probe() as probe:
         result = performance.solve(loaded, SIZE, threads=1)
     assert multigrid.Level.smooth is smooth
-    assert set(probe.seconds) == set(PHASES) - {"direct"}
+    assert set(probe.seconds) | {"direct"} == set(PHASES)  # hard systems are solved exactly
     assert all(seconds > 0 for seconds in probe.seconds.values())
     assert len(probe.krylov_each) >= result.maps.attrs["newton_iterations"]
     nodes = np.prod(result.problem.grid.node_shape)
