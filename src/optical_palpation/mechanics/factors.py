@@ -99,7 +99,6 @@ class Dissection:
     def fronts(self) -> Fronts:
         """The fronts."""
         pivots, parents = _cut(self.graph, self.positions)
-        count = len(pivots)
         order = np.concatenate(pivots)
         rank = np.empty_like(order)
         rank[order] = np.arange(order.size)
@@ -114,30 +113,7 @@ class Dissection:
                 families[parents[front]].append(front)
         p = 3 * np.array([len(nodes) for nodes in pivots])
         b = 3 * np.array([len(nodes) for nodes in borders])
-        depth = np.zeros(count, np.intp)
-        for front in range(count - 2, -1, -1):
-            depth[front] = depth[parents[front]] + 1
-        tops = [
-            f
-            for f in range(count)
-            if depth[f] == _SUBTREES or (depth[f] < _SUBTREES and not families[f])
-        ]
-        updates, subtrees, shared, first = np.zeros(count, np.intp), [], 0, 0
-        for front in range(count):
-            if depth[front] < _SUBTREES or front in tops:
-                updates[front] = shared
-                shared += b[front] ** 2
-        for root in tops:
-            while depth[first] < _SUBTREES and first not in tops:
-                first += 1
-            top = most = 0
-            for front in range(first, root):
-                top -= int((b[families[front]] ** 2).sum())
-                updates[front] = top
-                top += int(b[front]) ** 2
-                most = max(most, top)
-            subtrees.append((first, root + 1, most))
-            first = root + 1
+        updates, subtrees, shared = _changes(families, parents, b)
         return Fronts(
             order=order,
             rank=rank,
@@ -148,13 +124,13 @@ class Dissection:
             families=_begins([len(family) for family in families]),
             factors=_begins(_entries(p, b)),
             updates=updates,
-            subtrees=np.array(subtrees, np.intp),
+            subtrees=subtrees,
             shared=shared,
         )
 
     @cached_property
     def operations(self) -> float:
-        """Multiplications and additions of one elimination."""
+        """Multiplications and additions that one elimination takes at the most."""
         fronts = self.fronts
         p, b = 3.0 * np.diff(fronts.pivots), 3.0 * np.diff(fronts.borders)
         return float((2 * p * (p + b) ** 2 - 2 * p * p * b).sum())
@@ -257,6 +233,42 @@ def _cut(graph: sp.csr_matrix, positions: Array) -> tuple[list[Numbers], list[in
 
     part(np.arange(len(positions)))
     return pivots, parents
+
+
+def _changes(
+    families: list[list[int]], parents: list[int], border: Numbers
+) -> tuple[Numbers, Numbers, int]:
+    """Where fronts, whose ``border`` is so many unknowns, leave what their parents take.
+
+    Returns ``updates``, ``subtrees`` and ``shared`` of :class:`Fronts`. Within a subtree changes
+    are stacked: a parent's replaces those of its children.
+    """
+    count, sizes = len(parents), border**2
+    depth = np.zeros(count, np.intp)
+    for front in range(count - 2, -1, -1):
+        depth[front] = depth[parents[front]] + 1
+    roots = [
+        front
+        for front in range(count)
+        if depth[front] == _SUBTREES or (depth[front] < _SUBTREES and not families[front])
+    ]
+    updates, subtrees, shared = np.zeros(count, np.intp), [], 0
+    for front in range(count):
+        if depth[front] <= _SUBTREES:
+            updates[front] = shared
+            shared += int(sizes[front])
+    for root in roots:
+        first = root
+        while first > 0 and depth[first - 1] > _SUBTREES:
+            first -= 1
+        top = most = 0
+        for front in range(first, root):
+            top -= int(sizes[families[front]].sum())
+            updates[front] = top
+            top += int(sizes[front])
+            most = max(most, top)
+        subtrees.append((first, root + 1, most))
+    return updates, np.array(subtrees, np.intp), shared
 
 
 # The first product of a process looks for BLAS with Python's lock, which must be free for it.
