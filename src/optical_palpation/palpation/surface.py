@@ -179,14 +179,16 @@ def force_on_map(maps: xr.Dataset, surface: dict[str, Array]) -> dict[str, float
     extent = float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
     position = np.stack([surface["x"], surface["y"]])
     scale = force_within(position, np.abs(surface["contact_pressure"]), extent)
-    differences = []
-    for name in ("contact_pressure", "axial_stress"):
-        shown = np.trapezoid(np.trapezoid(np.nan_to_num(maps[name].values), x), y)
-        beneath = force_within(position, surface[name], extent)
-        differences.append(abs(float(shown) - beneath) / max(scale, 1e-30))
+    names = "contact_pressure", "axial_stress"
+    beneath = {name: force_within(position, surface[name], extent) for name in names}
+    shown = {
+        name: float(np.trapezoid(np.trapezoid(np.nan_to_num(maps[name].values), x), y))
+        for name in names
+    }
+    difference = max(abs(shown[name] - beneath[name]) for name in names)
     return {
-        "map_force_mN": force_within(position, surface["contact_pressure"], extent),
-        "map_force_difference": max(differences),
+        "map_force_mN": beneath["contact_pressure"],
+        "map_force_difference": difference / max(scale, 1e-30),
     }
 
 

@@ -134,7 +134,6 @@ def sample_stress(
     if input_errors is not None:
         input_errors.check_thickness(thickness)
     check_elements(element_size, (x1 - x0, y1 - y0), thickness, "the thickness of the layer")
-    relief = on_grid(sample.relief) if isinstance(sample.relief, xr.DataArray) else None
     blocks = Blocks(
         extent=extent,
         thickness=smooth_map(initial),
@@ -142,7 +141,9 @@ def sample_stress(
         sample_size=sample.size or (x1 - x0, y1 - y0),
         sample_thickness=sample.thickness,
         sample_law=sample.law or NeoHookean(c10=0.5 * material.shear_modulus),
-        relief=_flat if relief is None else smooth_map(relief),
+        relief=(
+            smooth_map(on_grid(sample.relief)) if isinstance(sample.relief, xr.DataArray) else _flat
+        ),
         friction=(window_friction, sample_friction, sample.plate_friction),
         travel=0.0 if sample.travels is None else sample.travels[-1],
     )
