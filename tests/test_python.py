@@ -448,6 +448,20 @@ def test_a_sweep_has_the_parameters_as_dimensions(result):
     found.to_netcdf(engine="h5netcdf")  # can be kept
 
 
+def test_points_of_a_sweep_on_other_elements_have_values_up_to_the_border():
+    layer = {"layer.extent": [0.13, 1.87, 0.09, 1.46], "errors.estimates": False}
+    sizes = [[0.25, 0.2, 0.25], 0.25]
+    found = op.sweep(study().with_(layer), {"grid.element_size": sizes})
+    assert found["axial_stress"].notnull().all()
+    assert found["contact_state"].dtype.kind == "i"
+    extents = [[0.13, 1.87, 0.09, 1.46], [0.33, 1.87, 0.09, 1.46]]
+    found = op.sweep(study().with_(layer), {"layer.extent": extents})
+    beyond = found["x"] < 0.33
+    for name in ("axial_stress", "contact_state"):
+        gaps = found[name][1].isnull()
+        assert (gaps == beyond).all()
+
+
 def test_a_point_without_a_solution_does_not_lose_the_others(monkeypatch, result):
     solve = python.run_study
 

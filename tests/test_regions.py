@@ -501,6 +501,24 @@ def test_an_error_that_is_missing_does_not_spread():
     assert int(found.isnull().sum()) == 1
 
 
+def test_grids_that_end_on_the_same_sides_share_their_borders():
+    low, high = 0.9, 2.2
+    ends = np.linspace(low, high, 9)
+    off = np.linspace(np.nextafter(low, 1.0), np.nextafter(high, 1.0), 17)
+    first, second = (maps_of(lambda x, y: x + y, 0.1, x=at, y=at) for at in (ends, off))
+    for one, other in ((first, second), (second, first)):
+        found = compare_results({"a": one, "b": other})
+        assert found["difference"].notnull().all()
+        assert found["difference_error"].notnull().all()
+    mask = Region.of_mask("all", first["axial_stress"] > 0)
+    assert (mask.weights(second["axial_stress"]) == 1).all()
+    assert high + 1.0 * (low - high) < low
+    for end in (low, high), (high, low):
+        profile = line_profile(first, *[(at, at) for at in end])
+        assert profile["axial_stress"].notnull().all()
+        assert profile["x"].values[[0, -1]].tolist() == list(end)
+
+
 def test_registration_takes_a_shift_back():
     first = with_thickness(maps_of(bumps))
     shifted = with_thickness(maps_of(lambda x, y: bumps(x - 0.3, y + 0.1)))

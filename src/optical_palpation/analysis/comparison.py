@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 
-from optical_palpation.analysis.maps import check_map, map_error, pixel_size
+from optical_palpation.analysis.maps import at_points_of, check_map, map_error, pixel_size
 from optical_palpation.arguments import check_instance, explained
 from optical_palpation.errors import InputError
 from optical_palpation.thickness import lateral_shift
@@ -96,7 +96,7 @@ def _on_pixels_of(field: xr.DataArray, reference: xr.DataArray) -> xr.DataArray:
     same = field.sizes == reference.sizes and all(
         np.allclose(field[d], reference[d], rtol=0.0, atol=1e-9) for d in ("y", "x")
     )
-    return field if same else field.interp(y=reference["y"], x=reference["x"], method="linear")
+    return field if same else at_points_of(field, reference)
 
 
 @explained

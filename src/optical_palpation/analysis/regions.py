@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optical_palpation.analysis.maps import (
     area_mean,
+    at_points_of,
     check_map,
     map_error,
     pixel_size,
@@ -198,8 +199,8 @@ class Region:
         field = check_map(like, "map")
         y, x = field["y"].values, field["x"].values
         if self.mask is not None:
-            at = self.mask.sortby(["y", "x"])
-            shares = at.interp(y=y, x=x, method="nearest", kwargs={"fill_value": 0.0}).values
+            mask = self.mask.sortby(["y", "x"])
+            shares = at_points_of(mask, field, "nearest", beyond=0.0).values
         else:
             shares = self._shares(y, x, pixel_size(field))
         if not shares.any():

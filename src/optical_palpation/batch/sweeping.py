@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from optical_palpation.analysis.maps import at_points_of
 from optical_palpation.arguments import check_instance, explained
 from optical_palpation.batch.dispatch import BatchProgress
 from optical_palpation.batch.reading import Batch, Scan
@@ -168,14 +169,15 @@ def _on_workers(
 
 def _on(maps: xr.Dataset, base: xr.Dataset) -> xr.Dataset:
     """Maps on the points of other ones."""
-    at = {axis: base[axis] for axis in "yx"}
     if all(maps[axis].equals(base[axis]) for axis in "yx"):
         return maps
     parts = {}
     for name, field in maps.data_vars.items():
         if set(field.dims) == {"y", "x"}:
             method: Any = "linear" if field.dtype.kind == "f" else "nearest"
-            parts[name] = field.astype(float).interp(at, method=method).astype(field.dtype)
+            read = at_points_of(field.astype(float), base, method)
+            # whole numbers have no NaN: a point beyond the layer would be open, or worse
+            parts[name] = read if read.isnull().any() else read.astype(field.dtype)
     return xr.Dataset(parts, attrs=maps.attrs)
 
 

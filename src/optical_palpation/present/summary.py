@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.analysis.maps import area_mean, map_error
+from optical_palpation.analysis.maps import area_mean, at_points_of, map_error
 from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.plausibility import SOFT_SAMPLE
 from optical_palpation.palpation.result import ContactState, Status, StressResult
@@ -154,7 +154,7 @@ def stress_figures(result: StressResult, method: str) -> tuple[str, str, str]:
     if not values.size:
         return "unknown", "unknown", "unknown"
     error = stress_error(method, maps)
-    error = None if error is None else error.interp(y=field["y"], x=field["x"])
+    error = None if error is None else at_points_of(error, field)
 
     def at(value: float) -> str:
         place = np.nanargmin(abs(field.values - value))

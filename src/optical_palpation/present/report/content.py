@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.analysis import Region, compare_results, region_statistics, traced
-from optical_palpation.analysis.maps import area_mean, map_error
+from optical_palpation.analysis.maps import area_mean, at_points_of, map_error
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.figure import colour_map
 from optical_palpation.present.profiles import on_layer
@@ -238,7 +238,7 @@ def _profile_range(
     ends = dict(stress)
     for method, field in stress.items():
         if (error := map_error(maps, names[method])) is not None:
-            error = error.interp(y=field["y"], x=field["x"])
+            error = at_points_of(error, field)
             ends |= {f"{method}, low": field - error, f"{method}, high": field + error}
     lowest, highest = common_limits(ends, "", share=0.1)
     return max(lowest, 2 * low - high), min(highest, 2 * high - low)
