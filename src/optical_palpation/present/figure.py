@@ -14,6 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.analysis import Region, traced
+from optical_palpation.analysis.maps import area_mean
 from optical_palpation.arguments import check_instance, in_words
 from optical_palpation.errors import InputError
 from optical_palpation.palpation.edges import NOTABLE
@@ -258,7 +259,7 @@ def draw_map(
         beside = _beside(axes)
         if named:
             bar = figure.colorbar(mesh, **beside, ticks=range(len(named)))
-            shares = [float(np.mean(values == k)) for k in range(len(named))]
+            shares = [area_mean(field == k) for k in range(len(named))]
             rows = zip(named, shares, strict=True)
             bar.ax.set_yticklabels([f"{name}\n{percent(share)}" for name, share in rows])
             bar.ax.tick_params(length=0)
