@@ -407,12 +407,26 @@ def key_figures(
         given = rounded(attrs["initial_thickness_mm"], errors.get("unloaded"))
         figures.append(("Unloaded thickness, mean", f"{given} mm"))
     for state, field in thickness.items():
-        middle = rounded(field.median(), errors.get(state))
+        middle = rounded(_within(field, maps).median(), errors.get(state))
         figures.append((f"{state.title()} thickness, median", f"{middle} mm"))
-    for state, layer in (("unloaded", unloaded), ("loaded", loaded)):
-        if layer is not None and "filled" in layer and (fraction := float(layer["filled"].mean())):
-            figures.append((f"Interpolated pixels, {state}", percent(fraction)))
+    for state, layer, key in (
+        ("unloaded", unloaded, "initial_filled_share"),
+        ("loaded", loaded, "filled_share"),
+    ):
+        if layer is not None and "filled" in layer:
+            fraction = attrs.get(key, float(_within(layer["filled"], maps).mean()))
+            if fraction:
+                figures.append((f"Interpolated pixels, {state}", percent(fraction)))
     return figures
+
+
+def _within(field: xr.DataArray, maps: xr.Dataset) -> xr.DataArray:
+    """The part of a field of the whole image that maps of the layer cover."""
+    for axis in "yx":
+        low, high = float(maps[axis].min()), float(maps[axis].max())
+        slack = 1e-6 * (high - low)
+        field = field.sel({axis: (field[axis] >= low - slack) & (field[axis] <= high + slack)})
+    return field
 
 
 def _thickness_errors(attrs: Mapping[Any, Any]) -> dict[str, float]:
