@@ -219,9 +219,6 @@ def _shift(reference: xr.Dataset, maps: xr.Dataset, first: str, name: str) -> tu
             for axis, step in zip("yx", steps, strict=True)
         }
         moving = moving.interp(places)
-    # by number of pixel, since two scans of one sample may begin anywhere
     n = [min(fixed.sizes[axis], moving.sizes[axis]) for axis in ("y", "x")]
     parts = [field.isel(y=slice(n[0]), x=slice(n[1])) for field in (fixed, moving)]
-    found = lateral_shift(*parts)
-    start = [float(moving[axis][0] - fixed[axis][0]) for axis in ("y", "x")]
-    return found[0] + start[0], found[1] + start[1]
+    return lateral_shift(*parts)
