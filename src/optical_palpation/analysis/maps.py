@@ -34,6 +34,17 @@ def check_map(field: xr.DataArray, name: str) -> xr.DataArray:
     return field
 
 
+def on_layer(maps: xr.Dataset) -> xr.Dataset:
+    """Return the part of the maps that the layer covers; maps may reach beyond it."""
+    thickness = maps.get("loaded_thickness")
+    extent = None if thickness is None else thickness.attrs.get("layer_extent")
+    if extent is None:
+        return maps
+    x0, x1, y0, y1 = extent
+    slack = 1e-9 * max(x1 - x0, y1 - y0)
+    return maps.sel(x=slice(x0 - slack, x1 + slack), y=slice(y0 - slack, y1 + slack))
+
+
 def map_error(maps: xr.Dataset, variable: str) -> xr.DataArray | None:
     """Error of a map in its unit, of inputs and mesh together; None where none of inputs is known.
 

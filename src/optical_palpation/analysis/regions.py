@@ -15,6 +15,7 @@ from optical_palpation.analysis.maps import (
     at_points_of,
     check_map,
     map_error,
+    on_layer,
     pixel_size,
     plane_noise,
     point_areas,
@@ -293,7 +294,7 @@ def region_statistics(
     Parameters
     ----------
     maps
-        Maps of a result on ``(y, x)``.
+        Maps of a result on ``(y, x)``; what lies beyond the layer is left out.
     regions
         At least one; names must differ.
     variable
@@ -323,6 +324,7 @@ def region_statistics(
     if variable not in maps:
         known = ", ".join(str(n) for n, v in maps.data_vars.items() if set(v.dims) == {"y", "x"})
         raise InputError(f"there is no map {variable!r}; known are {known}")
+    maps = on_layer(maps)
     kind = "a list of Region (read_regions reads one)"
     check_instance(regions, Sequence, "regions", kind)
     for region in regions:
@@ -406,7 +408,7 @@ def _statistics(
         "minimum": float(inner.min()),
         "maximum": float(inner.max()),
         "area": float(held.sum()),
-        "missing": float(1.0 - w.sum() / held.sum()),
+        "missing": float(held[~seen].sum() / held.sum()),
     }
     if sign is not None:
         row["force"] = sign * float(w @ v)

@@ -14,13 +14,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.analysis import Region, traced
-from optical_palpation.analysis.maps import area_mean
+from optical_palpation.analysis.maps import area_mean, on_layer
 from optical_palpation.arguments import check_instance, in_words
 from optical_palpation.errors import InputError
 from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic, provenance
-from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.terms import (
     STATES,
     Term,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from optical_palpation.analysis.maps import on_layer
 from optical_palpation.errors import InputError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.figure import (
@@ -20,7 +21,7 @@ from optical_palpation.present.figure import (
     letter,
     width_in_mm,
 )
-from optical_palpation.present.profiles import centre_profiles, on_layer
+from optical_palpation.present.profiles import centre_profiles
 from optical_palpation.present.summary import methods_in
 from optical_palpation.present.terms import ALGEBRAIC, COMPUTATIONAL, common_limits, term
 

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.analysis.maps import area_mean, at_points_of, map_error
+from optical_palpation.analysis.maps import area_mean, at_points_of, map_error, on_layer
 from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.plausibility import SOFT_SAMPLE
 from optical_palpation.palpation.result import ContactState, Status, StressResult
-from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.terms import percent, plain, rounded
 
 # Percent; an incompressible layer that is free to spread stays far below.

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.analysis.maps import area_mean
+from optical_palpation.analysis.maps import area_mean, on_layer
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.output import atomic
-from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.summary import (
     force_error,
     mean_stress_error,

@@ -11,10 +11,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.analysis import Region, compare_results, region_statistics, traced
-from optical_palpation.analysis.maps import area_mean, at_points_of, map_error
+from optical_palpation.analysis.maps import area_mean, at_points_of, map_error, on_layer
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.figure import colour_map
-from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.report.maps import encode_map, encode_maps
 from optical_palpation.present.summary import (
     INPUTS,
@@ -281,7 +280,7 @@ def region_rows(
     """Headings and rows of a table of regions of interest."""
     if not regions:
         return [], []
-    found = region_statistics(on_layer(result.maps), regions)
+    found = region_statistics(result.maps, regions)
     columns = [
         str(name)
         for name in found.data_vars
