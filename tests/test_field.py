@@ -203,6 +203,12 @@ def test_the_field_is_that_of_the_whole_on_fine_elements(coarse, here, tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {"field.nc", "field.png"}
 
 
+def test_one_tile_of_the_whole_has_no_cut_sides(coarse, here, tmp_path):
+    found = solved(coarse, tmp_path, tile=9.0)
+    assert found.maps.attrs["tiles"] == [1, 1]
+    assert error(found, whole(0.06)) < 0.02
+
+
 def test_a_tile_that_fails_is_tried_again_and_never_a_silent_hole(
     coarse, here, tmp_path, monkeypatch
 ):
