@@ -265,6 +265,23 @@ def of_series(series: xr.Dataset) -> str:
     )
 
 
+def of_solution(attrs: Mapping[Hashable, Any]) -> list[str]:
+    """Say what casts doubt on how a solution ended."""
+    said = []
+    change = attrs.get("volume_change_percent", 0.0)
+    if abs(change) > _NOTABLE_VOLUME_CHANGE:
+        said.append(
+            f"the volume of the layer changed by {change:.1f} %, which causes stress: between "
+            "roller edges a layer that is thinner all over is laterally confined"
+        )
+    if attrs.get("status") == Status.NEARLY:
+        said.append(
+            "nearly converged: friction at some edges goes on changing, and "
+            f"{percent(attrs['force_residual'])} of the contact forces are out of balance there"
+        )
+    return said
+
+
 def _submodel(attrs: Mapping[Hashable, Any]) -> list[str]:
     """Say what part of a layer was computed, and how well."""
     x0, x1, y0, y1 = attrs["submodel_region_mm"]
@@ -353,12 +370,6 @@ def summarise(result: StressResult) -> str:
         lines.append(
             f"not thinner than unloaded, so taken as open: {percent(open_share)} of the map"
         )
-    change = maps.attrs.get("volume_change_percent", 0.0)
-    if abs(change) > _NOTABLE_VOLUME_CHANGE:
-        lines.append(
-            f"WARNING: the volume of the layer changed by {change:.1f} %, which causes stress: "
-            "between roller edges a layer that is thinner all over is laterally confined"
-        )
     if "filled_share" in maps.attrs:
         parts = [
             f"{kind} {percent(share)}"
@@ -373,11 +384,6 @@ def summarise(result: StressResult) -> str:
                 "WARNING: so much of the thickness map is made up that the stress in and around "
                 "the gaps is a guess"
             )
-    if maps.attrs.get("status") == Status.NEARLY:
-        lines.append(
-            "WARNING: nearly converged: friction at some edges goes on changing, and "
-            f"{percent(maps.attrs['force_residual'])} of the contact forces are out of balance "
-            "there"
-        )
-    lines += [f"WARNING: {text}" for text in json.loads(maps.attrs.get("unusual", "[]"))]
+    doubts = [*of_solution(maps.attrs), *json.loads(maps.attrs.get("unusual", "[]"))]
+    lines += [f"WARNING: {text}" for text in doubts]
     return plain("\n".join(lines))
