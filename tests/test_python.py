@@ -18,7 +18,7 @@ from optical_palpation.mechanics.newton import balance
 from optical_palpation.present.report.content import key_figures
 from optical_palpation.present.tables import result_columns
 from optical_palpation.present.terms import plain, rounded
-from optical_palpation.study import python, read_study
+from optical_palpation.study import python, read_study, warnings_about
 from optical_palpation.study.script import reproducing_lines
 
 matplotlib.use("Agg")
@@ -447,6 +447,9 @@ def test_a_sweep_has_the_parameters_as_dimensions(result):
     assert forces[1] > forces[0]
     assert found["friction_window"].attrs["parameter"] == "friction.window"
     assert (found["failure"] == "").all()
+    assert float(found["force_error"].sel(point)) == result_columns(result)["force_error_mN"]
+    assert str(found["warnings"].sel(point).values) == "; ".join(warnings_about(result))
+    assert "sides of the layer" in str(found["warnings"].sel(point).values)
     found.to_netcdf(engine="h5netcdf")  # can be kept
 
 
