@@ -176,6 +176,18 @@ def test_contact_is_the_share_of_the_area_that_the_summary_gives(tmp_path):
     assert "stick 38 %" in said
 
 
+def test_profiles_of_the_panel_have_the_error_of_inputs_and_mesh():
+    maps = result().maps
+    for name, error in {"axial_stress_error": 0.3, "axial_stress_mesh_error": 0.4}.items():
+        maps[name] = xr.full_like(maps["axial_stress"], error)
+    with new_figure("double", 120.0) as figure:
+        draw_panel(maps, figure)
+        (profile,) = (axes for axes in figure.axes if axes.get_title(loc="left") == "y = 2 mm")
+        band = profile.collections[0].get_paths()[0].vertices
+    ends = band[band[:, 0] == X[0], 1]
+    assert ends.max() - ends.min() == pytest.approx(1.0)
+
+
 def test_a_scale_bar_takes_the_place_of_axes(tmp_path):
     write_maps(result(), tmp_path / "f.svg", scale_bar=True)
     said = texts(tmp_path / "f.svg")

@@ -26,6 +26,7 @@ _COLUMNS = {
     "window_contact_state": "window_contact_state",
     "edge_influence": "edge_influence",
     "axial_stress_error": "axial_stress_error_kPa",
+    "axial_stress_mesh_error": "axial_stress_mesh_error_kPa",
     "sample_youngs_modulus": "sample_youngs_modulus_kPa",
     "sample_modulus_error": "sample_modulus_error",
     "thickness_misfit": "thickness_misfit_mm",
