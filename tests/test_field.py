@@ -10,13 +10,14 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from optical_palpation.analysis.maps import area_mean
 from optical_palpation.batch import field, field_stress
 from optical_palpation.batch.field import remove_tiles
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.palpation import plausibility
 from optical_palpation.palpation.submodel import submodel_inputs, submodel_stress
 from optical_palpation.palpation.tiling import Blend, tiled
-from optical_palpation.present import read_result
+from optical_palpation.present import percent, read_result
 from submodel_case import THICKNESS, error, relief, whole
 
 LENGTHS = st.floats(0.3, 6.0)
@@ -325,6 +326,9 @@ def test_command(coarse, tmp_path, monkeypatch, run):
     maps = read_result("field.nc").maps
     assert_allclose(maps["x"].values[[0, -1]], [0.3, 1.5])
     assert 0 < int(maps["filled"].sum()) < 10
+    # of the region, and not of the whole
+    assert maps.attrs["filled_share"] == area_mean(maps["filled"])
+    assert f"interpolated pixels: {percent(maps.attrs['filled_share'])} of the map\n" in out
     assert bool(np.isfinite(maps["axial_stress"]).all())
     assert [path.name for path in (tmp_path / "field-tiles").iterdir()] == ["mine.txt"]
     for options, told in (

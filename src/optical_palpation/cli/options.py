@@ -176,10 +176,16 @@ class ThicknessFiles:
 
 def mark_filled(result: StressResult, cleaned: xr.Dataset) -> None:
     """Let what was filled in the loaded thickness go with a result."""
+    from optical_palpation.analysis.maps import area_mean
+
     # The maps of the computational method lie on the nodes of its elements, not on the pixels.
     here = {axis: result.maps[axis] for axis in "yx"}
     result.maps["filled"] = cleaned["filled"].reindex(here, method="nearest")
     result.maps.attrs |= cleaned.attrs
+    if "submodel_region_mm" in result.maps.attrs:  # the shares are those of the whole
+        for share in ("missing_share", "spike_share"):
+            del result.maps.attrs[share]
+        result.maps.attrs["filled_share"] = area_mean(result.maps["filled"])
 
 
 def each_on(workers: int | None, scheduler: str | None) -> Callable[..., Iterator[Any]] | None:

@@ -374,10 +374,11 @@ def summarise(result: StressResult) -> str:
         parts = [
             f"{kind} {percent(share)}"
             for kind, key in (("missing", "missing_share"), ("spikes", "spike_share"))
-            if (share := maps.attrs[key])
+            if (share := maps.attrs.get(key))
         ]
         filled = maps.attrs["filled_share"]
-        said = f"{percent(filled)} of the map ({', '.join(parts)})" if filled else "none"
+        said = f"{percent(filled)} of the map" if filled else "none"
+        said += f" ({', '.join(parts)})" * bool(parts)
         lines.append(f"interpolated pixels: {said}")
         if maps.attrs["filled_share"] > _NOTABLE_FILLED:
             lines.append(
