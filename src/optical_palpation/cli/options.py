@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -156,7 +156,21 @@ class ThicknessFiles:
         """Read the unloaded thickness: a number, or a map without gaps."""
         if is_number(self.initial_thickness):
             return float(self.initial_thickness)
-        return self._cleaned(Path(self.initial_thickness), self.initial_variable)["thickness"]
+        return self._unloaded["thickness"]
+
+    def initial_filled_share(self, loaded: xr.DataArray) -> float:
+        """Fraction of the layer on whose pixels the unloaded thickness is interpolated."""
+        from optical_palpation.thickness.frames import inside_layer
+
+        if is_number(self.initial_thickness):
+            return 0.0
+        here = {axis: loaded[axis] for axis in "yx"}
+        filled = self._unloaded["filled"].reindex(here, method="nearest")
+        return float(filled.values[inside_layer(loaded)].mean())
+
+    @cached_property
+    def _unloaded(self) -> xr.Dataset:
+        return self._cleaned(Path(self.initial_thickness), self.initial_variable)
 
     def _cleaned(self, path: Path, variable: str | None, **layer: Any) -> xr.Dataset:
         from optical_palpation.thickness import clean_thickness, read_thickness_map

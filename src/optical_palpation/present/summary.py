@@ -380,7 +380,9 @@ def summarise(result: StressResult) -> str:
         said = f"{percent(filled)} of the map" if filled else "none"
         said += f" ({', '.join(parts)})" * bool(parts)
         lines.append(f"interpolated pixels: {said}")
-        if maps.attrs["filled_share"] > _NOTABLE_FILLED:
+        if unloaded := maps.attrs.get("initial_filled_share"):
+            lines.append(f"interpolated pixels, unloaded: {percent(unloaded)} of the map")
+        if max(filled, unloaded or 0.0) > _NOTABLE_FILLED:
             lines.append(
                 "WARNING: so much of the thickness map is made up that the stress in and around "
                 "the gaps is a guess"
