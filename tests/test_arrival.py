@@ -19,6 +19,7 @@ from optical_palpation.mechanics.schur import Lubrication
 from optical_palpation.palpation import computational, computational_stress
 from optical_palpation.palpation.computational import residuals
 from optical_palpation.present import summarise
+from optical_palpation.study import warnings_about
 from optical_palpation.thickness import thickness_map
 
 SILICONE = MooneyRivlin(2.23, 0.703)
@@ -162,6 +163,7 @@ def test_what_does_not_settle_is_nearly_converged_and_says_so(monkeypatch):
     result.maps.attrs.update(residuals(now))
     warning = f"WARNING: nearly converged: .* {100 * now.force_error:.2g} % of the contact forces"
     assert re.search(warning, summarise(result))
+    assert any(text.startswith("nearly converged: ") for text in warnings_about(result))
     monkeypatch.setattr(path, "_HELD", 1)
     with pytest.raises(path.LoadNotReached, match="does not come to rest"):
         disturbed(result).settle()

@@ -359,6 +359,17 @@ def test_resolution_is_read_off_the_speckle():
         assert along_x == pytest.approx(2.5 * axial / FWHM / SPACING[2], rel=0.3)
 
 
+def test_maps_that_begin_elsewhere_are_registered_by_their_coordinates():
+    def features(begin_y, begin_x):
+        y, x = begin_y + 0.02 * np.arange(60), begin_x + 0.02 * np.arange(70)
+        one = np.exp(-((x - 0.9) ** 2 + (y[:, None] - 0.5) ** 2) / 0.02)
+        other = np.exp(-((x - 0.4) ** 2 + (y[:, None] - 0.8) ** 2) / 0.01)
+        return xr.DataArray(one + other, {"y": y, "x": x}, ("y", "x"))
+
+    reference, moving = features(0.0, 0.0), features(-0.1, 0.06)
+    assert lateral_shift(reference, moving) == pytest.approx((0.0, 0.0), abs=0.002)
+
+
 def test_maps_are_registered_to_each_other():
     def features(dy: float, dx: float) -> xr.DataArray:
         values = np.sin(9 * (X - dx)) * np.cos(7 * (Y - dy)) + np.exp(

@@ -234,6 +234,20 @@ def test_initial_thickness_may_be_a_map_of_its_own(here, run):
         assert maps.attrs[f"{attribute}_sha256"] == digest
 
 
+def test_gaps_of_the_unloaded_map_are_told(here, run):
+    gaps = np.full((13, 17), 0.5)
+    gaps[2:8, 3:13] = np.nan
+    np.save("before.npy", gaps)
+    command = ["stress", "map.npy", *FRAME, "--method", "algebraic", "--c10", "2.23"]
+    command += ["--initial-thickness", "before.npy", "--output", "o.nc"]
+    status, out, _ = run(*command)
+    assert status == 0
+    share = 6 * 10 / (13 * 17)
+    assert f"interpolated pixels, unloaded: {100 * share:.0f} % of the map" in out
+    assert "WARNING: so much of the thickness map is made up" in out
+    assert read_result("o.nc").maps.attrs["initial_filled_share"] == pytest.approx(share)
+
+
 def test_no_point_of_a_layer_that_ends_between_pixels_lacks_a_stress(here, run):
     extent = ["--layer-extent", "0.25", "1.6", "0.3", "1.5"]
     status, _, _ = run("stress", "map.npy", *FRAME, *COMPUTATIONAL, *extent, "--output", "o.nc")

@@ -254,6 +254,16 @@ def test_values_on_the_command_line_go_before_those_of_the_file(here, run, told)
     assert told[2].folder.name == "mine"
 
 
+def test_long_changes_that_end_differently_have_folders_of_their_own(here, run, told):
+    errors = [f"errors.{key}=0.0123" for key in ("window_friction", "sample_friction", "modulus")]
+    for last in ("0.001", "0.002"):
+        changes = [*errors, "errors.initial_thickness=0.001", f"errors.thickness={last}"]
+        run("run", "study.toml", *(word for text in changes for word in ("--set", text)))
+    names = [asked.folder.name for asked in told]
+    assert len(set(names)) == 2
+    assert max(map(len, names)) < 120
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

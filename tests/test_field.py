@@ -1,6 +1,7 @@
 """Fields in tiles: the tiles, their blending, and one map of all of them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,12 +10,14 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from optical_palpation.analysis.maps import area_mean
 from optical_palpation.batch import field, field_stress
 from optical_palpation.batch.field import remove_tiles
 from optical_palpation.errors import ConvergenceError, InputError
-from optical_palpation.palpation.submodel import submodel_stress
+from optical_palpation.palpation import plausibility
+from optical_palpation.palpation.submodel import submodel_inputs, submodel_stress
 from optical_palpation.palpation.tiling import Blend, tiled
-from optical_palpation.present import read_result
+from optical_palpation.present import percent, read_result
 from submodel_case import THICKNESS, error, relief, whole
 
 LENGTHS = st.floats(0.3, 6.0)
@@ -174,6 +177,7 @@ def test_the_field_is_that_of_the_whole_on_fine_elements(coarse, here, tmp_path)
     assert error(found, reference) < 0.02
     assert 1e-4 < maps.attrs["seam_error"] < 0.02
     assert maps.attrs["submodel_sides_error"] < 0.05
+    assert 0 < maps.attrs["map_force_difference"] < 0.05
     expected = float(reference.maps["contact_pressure"].integrate(["x", "y"]))
     assert maps.attrs["sample_force_mN"] == pytest.approx(expected, rel=0.02)
     # seams are not seen, although the overlaps are next to cut sides
@@ -201,6 +205,41 @@ def test_the_field_is_that_of_the_whole_on_fine_elements(coarse, here, tmp_path)
     found.save(tmp_path / "field.png")
     remove_tiles(tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {"field.nc", "field.png"}
+
+
+def test_one_tile_of_the_whole_has_no_cut_sides(coarse, here, tmp_path):
+    found = solved(coarse, tmp_path, tile=9.0)
+    assert found.maps.attrs["tiles"] == [1, 1]
+    assert error(found, whole(0.06)) < 0.02
+
+
+def test_a_tile_whose_map_shows_another_force_is_named(coarse, here, tmp_path, monkeypatch):
+    def misread(*arguments, **options):
+        result = submodel_stress(*arguments, **options)
+        if arguments[3][0] == arguments[3][2] == 0.0:
+            result.maps.attrs["map_force_difference"] = 0.3
+        return result
+
+    monkeypatch.setattr(field, "submodel_stress", misread)
+    about_coarse = coarse.maps.attrs | {"map_force_difference": 0.2}
+    said = ["of the layer", *plausibility.misread(about_coarse)]
+    maps = coarse.maps.assign_attrs(about_coarse | {"unusual": json.dumps(said)})
+    attrs = solved(replace(coarse, maps=maps), tmp_path).maps.attrs
+    assert attrs["map_force_difference"] == 0.3
+    of_layer, of_tile = json.loads(attrs["unusual"])
+    assert of_layer == "of the layer"
+    assert of_tile.startswith("tile-1-1: the stress map adds up to a force that differs by 30 %")
+
+
+def test_a_part_says_what_is_so_in_its_region(coarse):
+    loaded = relief()
+    loaded[:, loaded["x"] > 1.8] += 0.5
+    initial = xr.full_like(loaded, THICKNESS) + 0.01 * loaded["y"]
+    inputs = submodel_inputs(coarse, loaded, initial, 0.06, None)
+    assert inputs.of_region((0.2, 1.7, 0.2, 1.0))["no_contact_share"] == 0.0
+    open_part = inputs.of_region((1.9, 2.3, 0.2, 1.0))
+    assert open_part["no_contact_share"] == 1.0
+    assert open_part["initial_thickness_mm"] == pytest.approx(THICKNESS + 0.006, abs=5e-4)
 
 
 def test_a_tile_that_fails_is_tried_again_and_never_a_silent_hole(
@@ -287,6 +326,9 @@ def test_command(coarse, tmp_path, monkeypatch, run):
     maps = read_result("field.nc").maps
     assert_allclose(maps["x"].values[[0, -1]], [0.3, 1.5])
     assert 0 < int(maps["filled"].sum()) < 10
+    # of the region, and not of the whole
+    assert maps.attrs["filled_share"] == area_mean(maps["filled"])
+    assert f"interpolated pixels: {percent(maps.attrs['filled_share'])} of the map\n" in out
     assert bool(np.isfinite(maps["axial_stress"]).all())
     assert [path.name for path in (tmp_path / "field-tiles").iterdir()] == ["mine.txt"]
     for options, told in (

@@ -12,10 +12,11 @@ from PIL import Image
 
 from optical_palpation.analysis import Region
 from optical_palpation.errors import InputError, OutputError
-from optical_palpation.palpation.result import StressResult
+from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present import write_maps, write_panel
 from optical_palpation.present.figure import colour_map, draw_map, new_figure
 from optical_palpation.present.panel import draw_panel
+from optical_palpation.present.summary import contact_share
 from optical_palpation.present.terms import term
 
 X, Y = np.linspace(0, 4, 33), np.linspace(1, 3, 17)
@@ -163,6 +164,28 @@ def test_fractions_are_shown_in_percent(tmp_path):
     axes = StressResult(maps).plot("edge_influence", ax=Figure().subplots())
     assert axes.collections[0].get_array().max() == pytest.approx(1.4)
     assert float(maps["edge_influence"].max()) == pytest.approx(0.014)
+
+
+def test_contact_is_the_share_of_the_area_that_the_summary_gives(tmp_path):
+    coarse = result().maps.isel(x=slice(None, None, 8), y=slice(None, None, 4))
+    write_maps(coarse, tmp_path / "f.svg", ["contact_state"])
+    said = texts(tmp_path / "f.svg")
+    # of five columns the last two stick, and of the last one half lies in the map
+    assert contact_share(coarse, ContactState.STICK) == pytest.approx(0.375)
+    assert "slip 62 %" in said
+    assert "stick 38 %" in said
+
+
+def test_profiles_of_the_panel_have_the_error_of_inputs_and_mesh():
+    maps = result().maps
+    for name, error in {"axial_stress_error": 0.3, "axial_stress_mesh_error": 0.4}.items():
+        maps[name] = xr.full_like(maps["axial_stress"], error)
+    with new_figure("double", 120.0) as figure:
+        draw_panel(maps, figure)
+        (profile,) = (axes for axes in figure.axes if axes.get_title(loc="left") == "y = 2 mm")
+        band = profile.collections[0].get_paths()[0].vertices
+    ends = band[band[:, 0] == X[0], 1]
+    assert ends.max() - ends.min() == pytest.approx(1.0)
 
 
 def test_a_scale_bar_takes_the_place_of_axes(tmp_path):

@@ -9,6 +9,7 @@ from optical_palpation.cli import main
 from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import InputErrors, algebraic_result
+from optical_palpation.palpation.motion import MOTION
 from optical_palpation.present import summarise
 from optical_palpation.study import (
     compute,
@@ -135,11 +136,26 @@ def test_thin_and_thick_layers_that_there_are():
         ("thickness = 0.42", "thickness = 0.2", "nothing is pressed"),
         ("thickness = 0.42", "thickness = 5.0", "can be pressed to 7"),
         ("c10 = 2.23", "c10 = 2230.0", "kPa on average"),
+        ("sample = 0.05", "sample = 0.05\nslip_length = 1e-7", "slip_length = 1e-07 mm is less"),
+        (
+            "[grid]",
+            "[sample]\nmotion = 'half.npz'\n[grid]",
+            "y 0 to 0.6 mm and does",
+        ),
+        ("[grid]", "[sample]\nmotion = 'um.npz'\n[grid]", r"\[sample\]: .* Is it in um"),
+        ("[grid]", "[sample]\nmotion = 'gap.npz'\n[grid]", r"\[sample\]: .* 1 missing"),
     ],
 )
 def test_what_a_check_of_maps_tells_before_a_run(tmp_path, old, new, words):
     assert old in MAPS
     np.save(tmp_path / "pressed.npy", LOADED)
+    y, x = 0.03 * np.arange(40), 0.03 * np.arange(48)
+    moved = 0.01 * np.broadcast_to(x, LOADED.shape)
+    gap = moved.copy()
+    gap[3, 4] = np.nan
+    for name, motion, rows in (("half", moved, 21), ("um", 1e3 * moved, 40), ("gap", gap, 40)):
+        arrays = dict.fromkeys(MOTION, motion[:rows])
+        np.savez(tmp_path / f"{name}.npz", **arrays, x_mm=x, y_mm=y[:rows])
     with pytest.raises(InputError, match=words):
         describe_inputs(read_study(make_study(tmp_path, MAPS.replace(old, new))))
 

@@ -15,8 +15,10 @@ import optical_palpation as op
 from optical_palpation.analysis.maps import area_mean
 from optical_palpation.errors import ConvergenceError, InputError, OutputError
 from optical_palpation.mechanics.newton import balance
+from optical_palpation.present.report.content import key_figures
 from optical_palpation.present.tables import result_columns
-from optical_palpation.study import python, read_study
+from optical_palpation.present.terms import plain, rounded
+from optical_palpation.study import python, read_study, warnings_about
 from optical_palpation.study.script import reproducing_lines
 
 matplotlib.use("Agg")
@@ -445,7 +447,43 @@ def test_a_sweep_has_the_parameters_as_dimensions(result):
     assert forces[1] > forces[0]
     assert found["friction_window"].attrs["parameter"] == "friction.window"
     assert (found["failure"] == "").all()
+    assert float(found["force_error"].sel(point)) == result_columns(result)["force_error_mN"]
+    assert str(found["warnings"].sel(point).values) == "; ".join(warnings_about(result))
+    assert "sides of the layer" in str(found["warnings"].sel(point).values)
     found.to_netcdf(engine="h5netcdf")  # can be kept
+
+
+def test_table_summary_and_report_give_the_numbers_of_the_layer():
+    gaps = loaded().where((loaded()["x"] > 0.07) & (abs(loaded()["y"] - 0.7) > 0.02))
+    within = study(loaded=gaps).with_(
+        {"layer.extent": [0.13, 1.87, 0.09, 1.46], "errors.estimates": False}
+    )
+    found = within.run()
+    row, said = result_columns(found), op.present.summarise(found)
+    for name in ("mean", "first_percentile", "most_compressed"):
+        assert plain(rounded(row[f"algebraic_{name}_axial_stress_kPa"])) in said
+    thickness = within.thickness()
+    layer = thickness.rename(loaded_thickness="thickness")[["thickness", "filled"]]
+    figures = dict(key_figures(found, layer, None))
+    assert f"interpolated pixels: {figures['Interpolated pixels, loaded']}" in said
+    assert row["interpolated_fraction"] == found.maps.attrs["filled_share"]
+    seen = layer["thickness"].sel(x=slice(0.13, 1.87), y=slice(0.09, 1.46))
+    assert figures["Loaded thickness, median"] == f"{rounded(seen.median())} mm"
+    assert rounded(seen.median()) != rounded(layer["thickness"].median())
+
+
+def test_points_of_a_sweep_on_other_elements_have_values_up_to_the_border():
+    layer = {"layer.extent": [0.13, 1.87, 0.09, 1.46], "errors.estimates": False}
+    sizes = [[0.25, 0.2, 0.25], 0.25]
+    found = op.sweep(study().with_(layer), {"grid.element_size": sizes})
+    assert found["axial_stress"].notnull().all()
+    assert found["contact_state"].dtype.kind == "i"
+    extents = [[0.13, 1.87, 0.09, 1.46], [0.33, 1.87, 0.09, 1.46]]
+    found = op.sweep(study().with_(layer), {"layer.extent": extents})
+    beyond = found["x"] < 0.33
+    for name in ("axial_stress", "contact_state"):
+        gaps = found[name][1].isnull()
+        assert (gaps == beyond).all()
 
 
 def test_a_point_without_a_solution_does_not_lose_the_others(monkeypatch, result):

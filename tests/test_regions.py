@@ -101,6 +101,27 @@ def test_the_mean_of_a_result_is_that_of_a_region_all_over_it():
     assert rest.attrs["background_mean"] == pytest.approx((4 * mean - less) / (4 - 0.1**2))
 
 
+def test_a_region_ends_where_the_layer_does():
+    at = np.linspace(0.0, 2.0, 21)
+    grid_y, grid_x = np.meshgrid(at, at, indexing="ij")
+    thickness = 0.4 + 0.05 * (grid_x - 1) ** 2 + 0.02 * grid_y
+    whole = thickness_map(thickness, x=at, y=at, layer_extent=(0.3, 1.6, 0.2, 2.0))
+    part = thickness_map(thickness[2:, 3:17], x=at[3:17], y=at[2:])
+    found = [algebraic_result(each, 0.5, MooneyRivlin(2.23, 0.703)) for each in (whole, part)]
+    outline = Region.rectangle("all", 0.0, 2.0, 0.0, 2.0)
+    tables = [result.regions(outline) for result in found]
+    for name in ("mean", "force", "area", "missing"):
+        assert float(tables[0][name][0]) == pytest.approx(float(tables[1][name][0]))
+    said = stress_figures(found[0], "algebraic")[0]
+    assert rounded(tables[0]["mean"][0]) == said
+
+
+def test_a_region_without_gaps_misses_nothing():
+    maps = maps_of(lambda x, y: x + y)
+    ellipse = Region.ellipse("e", (2.7, 1.0), (0.31, 0.23))
+    assert float(region_statistics(maps, [ellipse])["missing"][0]) == 0.0
+
+
 def test_extremes_errors_gaps_and_contrast():
     noise = np.random.default_rng(1).normal(0, 0.1, (Y.size, X.size))
     maps = maps_of(lambda x, y: -1.0 + noise, error=0.3)
@@ -499,6 +520,24 @@ def test_an_error_that_is_missing_does_not_spread():
         compared="after"
     )
     assert int(found.isnull().sum()) == 1
+
+
+def test_grids_that_end_on_the_same_sides_share_their_borders():
+    low, high = 0.9, 2.2
+    ends = np.linspace(low, high, 9)
+    off = np.linspace(np.nextafter(low, 1.0), np.nextafter(high, 1.0), 17)
+    first, second = (maps_of(lambda x, y: x + y, 0.1, x=at, y=at) for at in (ends, off))
+    for one, other in ((first, second), (second, first)):
+        found = compare_results({"a": one, "b": other})
+        assert found["difference"].notnull().all()
+        assert found["difference_error"].notnull().all()
+    mask = Region.of_mask("all", first["axial_stress"] > 0)
+    assert (mask.weights(second["axial_stress"]) == 1).all()
+    assert high + 1.0 * (low - high) < low
+    for end in (low, high), (high, low):
+        profile = line_profile(first, *[(at, at) for at in end])
+        assert profile["axial_stress"].notnull().all()
+        assert profile["x"].values[[0, -1]].tolist() == list(end)
 
 
 def test_registration_takes_a_shift_back():

@@ -26,6 +26,7 @@ from optical_palpation.present.report.bscans import BYTES, draw_volume
 from optical_palpation.present.report.content import convergence_rows, map_entries
 from optical_palpation.present.report.document import _json
 from optical_palpation.present.report.maps import encode_floats, encode_map
+from optical_palpation.present.summary import contact_share
 from optical_palpation.present.terms import common_limits
 from optical_palpation.thickness import clean_thickness, thickness_map
 from optical_palpation.volume import open_volume
@@ -499,6 +500,14 @@ def test_readout_names_contact_missing_and_filled(page):
     page.locator("#cursor-x").fill("")
     page.keyboard.press("Enter")
     assert place(page)[0] == pytest.approx(X[-1])
+
+
+def test_the_legend_of_contact_tells_the_share_of_the_area(page):
+    said = page.locator("[data-map='contact_state'] .legend").inner_text()
+    found = {name: float(share) for name, share in re.findall(r"(\w+) ([\d.]+)\u202f%", said)}
+    maps = stress_result().maps
+    wanted = {s.name.lower(): 100 * contact_share(maps, s) for s in ContactState}
+    assert found == pytest.approx({name: s for name, s in wanted.items() if s}, abs=0.06)
 
 
 def test_profiles_follow_the_cursor_and_show_the_maps_values(page):

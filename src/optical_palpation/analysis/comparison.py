@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import xarray as xr
 
-from optical_palpation.analysis.maps import check_map, map_error, pixel_size
+from optical_palpation.analysis.maps import at_points_of, check_map, map_error, pixel_size
 from optical_palpation.arguments import check_instance, explained
 from optical_palpation.errors import InputError
 from optical_palpation.thickness import lateral_shift
@@ -96,7 +96,7 @@ def _on_pixels_of(field: xr.DataArray, reference: xr.DataArray) -> xr.DataArray:
     same = field.sizes == reference.sizes and all(
         np.allclose(field[d], reference[d], rtol=0.0, atol=1e-9) for d in ("y", "x")
     )
-    return field if same else field.interp(y=reference["y"], x=reference["x"], method="linear")
+    return field if same else at_points_of(field, reference)
 
 
 @explained
@@ -219,9 +219,6 @@ def _shift(reference: xr.Dataset, maps: xr.Dataset, first: str, name: str) -> tu
             for axis, step in zip("yx", steps, strict=True)
         }
         moving = moving.interp(places)
-    # by number of pixel, since two scans of one sample may begin anywhere
     n = [min(fixed.sizes[axis], moving.sizes[axis]) for axis in ("y", "x")]
     parts = [field.isel(y=slice(n[0]), x=slice(n[1])) for field in (fixed, moving)]
-    found = lateral_shift(*parts)
-    start = [float(moving[axis][0] - fixed[axis][0]) for axis in ("y", "x")]
-    return found[0] + start[0], found[1] + start[1]
+    return lateral_shift(*parts)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -32,6 +34,17 @@ def check_map(field: xr.DataArray, name: str) -> xr.DataArray:
     return field
 
 
+def on_layer(maps: xr.Dataset) -> xr.Dataset:
+    """Return the part of the maps that the layer covers; maps may reach beyond it."""
+    thickness = maps.get("loaded_thickness")
+    extent = None if thickness is None else thickness.attrs.get("layer_extent")
+    if extent is None:
+        return maps
+    x0, x1, y0, y1 = extent
+    slack = 1e-9 * max(x1 - x0, y1 - y0)
+    return maps.sel(x=slice(x0 - slack, x1 + slack), y=slice(y0 - slack, y1 + slack))
+
+
 def map_error(maps: xr.Dataset, variable: str) -> xr.DataArray | None:
     """Error of a map in its unit, of inputs and mesh together; None where none of inputs is known.
 
@@ -47,6 +60,27 @@ def pixel_size(field: xr.DataArray) -> tuple[float, float]:
     """Pixel spacing (y, x) in mm."""
     y, x = field["y"].values, field["x"].values
     return float(y[-1] - y[0]) / (y.size - 1), float(x[-1] - x[0]) / (x.size - 1)
+
+
+def at_points_of(
+    field: xr.DataArray,
+    like: xr.DataArray | xr.Dataset,
+    method: Literal["linear", "nearest"] = "linear",
+    beyond: float = np.nan,
+) -> xr.DataArray:
+    """Read a map at the points of another one, `beyond` where it has none.
+
+    What lies beyond its outermost points by rounding alone, as the last point of another grid that
+    ends on the same side of the layer, lies on them.
+    """
+    at = {}
+    for axis in ("y", "x"):
+        own, wanted = field[axis].values, like[axis].values
+        nearest = np.clip(wanted, own.min(), own.max())
+        slack = 1e-6 * np.ptp(own)
+        at[axis] = np.where(np.abs(wanted - nearest) < slack, nearest, wanted)
+    read = field.interp(at, method=method, kwargs={"fill_value": beyond})
+    return read.assign_coords(y=like["y"], x=like["x"])
 
 
 def point_areas(field: xr.DataArray) -> xr.DataArray:

@@ -60,7 +60,8 @@ def line_profile(
     count = max(int(np.ceil(length / step)) + 1, 2)
     share = np.linspace(0.0, 1.0, count)
     along = (ends[1] - ends[0]) / length
-    x, y = (ends[0] + share[:, None] * (ends[1] - ends[0])).T
+    # not start + share (end - start), whose end is off by rounding, and may lie beyond the map
+    x, y = ((1.0 - share)[:, None] * ends[0] + share[:, None] * ends[1]).T
     lanes = max(int(np.ceil(width / step)), 1)
     beside = (np.arange(lanes) + 0.5) / lanes * width - width / 2
     lane = xr.DataArray(beside, dims="lane")

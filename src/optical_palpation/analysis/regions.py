@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from optical_palpation.analysis.maps import (
     area_mean,
+    at_points_of,
     check_map,
     map_error,
+    on_layer,
     pixel_size,
     plane_noise,
     point_areas,
@@ -198,8 +200,8 @@ class Region:
         field = check_map(like, "map")
         y, x = field["y"].values, field["x"].values
         if self.mask is not None:
-            at = self.mask.sortby(["y", "x"])
-            shares = at.interp(y=y, x=x, method="nearest", kwargs={"fill_value": 0.0}).values
+            mask = self.mask.sortby(["y", "x"])
+            shares = at_points_of(mask, field, "nearest", beyond=0.0).values
         else:
             shares = self._shares(y, x, pixel_size(field))
         if not shares.any():
@@ -292,7 +294,7 @@ def region_statistics(
     Parameters
     ----------
     maps
-        Maps of a result on ``(y, x)``.
+        Maps of a result on ``(y, x)``; what lies beyond the layer is left out.
     regions
         At least one; names must differ.
     variable
@@ -322,6 +324,7 @@ def region_statistics(
     if variable not in maps:
         known = ", ".join(str(n) for n, v in maps.data_vars.items() if set(v.dims) == {"y", "x"})
         raise InputError(f"there is no map {variable!r}; known are {known}")
+    maps = on_layer(maps)
     kind = "a list of Region (read_regions reads one)"
     check_instance(regions, Sequence, "regions", kind)
     for region in regions:
@@ -405,7 +408,7 @@ def _statistics(
         "minimum": float(inner.min()),
         "maximum": float(inner.max()),
         "area": float(held.sum()),
-        "missing": float(1.0 - w.sum() / held.sum()),
+        "missing": float(held[~seen].sum() / held.sum()),
     }
     if sign is not None:
         row["force"] = sign * float(w @ v)

@@ -28,6 +28,7 @@ from optical_palpation.errors import (
 )
 from optical_palpation.files import netcdf, replacing
 from optical_palpation.palpation.memory import predicted_memory
+from optical_palpation.palpation.plausibility import misread
 from optical_palpation.palpation.result import Status, StressResult
 from optical_palpation.palpation.submodel import (
     SubmodelInputs,
@@ -334,6 +335,7 @@ def _blended(
             "volume_tolerance": max,
             "smallest_volume_ratio": min,
             "sides_force_share": max,
+            "map_force_difference": max,
             "submodel_sides_error": max,
         }.items()
     }
@@ -345,6 +347,7 @@ def _blended(
         "element_size_mm": list(found[0]["element_size_mm"]),
         "elements": [len(x) - 1, len(y) - 1, int(found[0]["elements"][2])],
         "imprint_smoothing_mm": found[0]["imprint_smoothing_mm"],
+        **inputs.of_region((float(x[0]), float(x[-1]), float(y[0]), float(y[-1]))),
         "sample_force_mN": float(maps["contact_pressure"].fillna(0.0).integrate(["x", "y"])),
         "newton_iterations": sum(int(attrs["newton_iterations"]) for attrs in found),
         "status": str(Status.INCOMPLETE if failed else status),
@@ -359,11 +362,11 @@ def _blended(
             for n, points in zip(tiling.overlap[::-1], (x, y), strict=True)
         ],
     }
+    said = [f"{tile['name']}: {text}" for tile in found for text in misread(tile)]
     if failed:
         attrs["tiles_failed"] = json.dumps(failed)
-        attrs["unusual"] = json.dumps(
-            [*json.loads(attrs.get("unusual", "[]")), *_holes(tiling, failed)]
-        )
+        said += _holes(tiling, failed)
+    attrs["unusual"] = json.dumps([*json.loads(attrs.get("unusual", "[]")), *said])
     if wider:
         attrs["tiles_wider_margin"] = json.dumps(wider)
     maps.attrs |= attrs

@@ -179,15 +179,14 @@ def _row(
     result: StressResult, folder: Path, scan: Scan
 ) -> tuple[dict[str, Any], NDArray[np.float32]]:
     """Entries of the table, units in the names of the columns, and the thumbnail."""
-    from optical_palpation.present.profiles import on_layer
+    from optical_palpation.analysis.maps import on_layer
     from optical_palpation.present.tables import result_columns
     from optical_palpation.study import warnings_about
 
-    maps = on_layer(result.maps)
     record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     row: dict[str, Any] = result_columns(result)
     if scan.regions is not None:
-        row |= _regions(maps, scan.regions)
+        row |= _regions(result.maps, scan.regions)
     row["seconds"] = round(sum(entry["seconds"] for entry in record["stages"].values()), 2)
     row["warnings"] = "; ".join(warnings_about(result))
     row["software_version"] = record["software_version"]
@@ -196,7 +195,7 @@ def _row(
     for side, entry in record["inputs"].items():
         row[f"{side}_sha256"] = entry["sha256"]
     row["stress_sha256"] = record["stages"][RESULT]["sha256"]
-    return row, _thumbnail(maps["axial_stress"])
+    return row, _thumbnail(on_layer(result.maps)["axial_stress"])
 
 
 def _regions(maps: xr.Dataset, path: Path) -> dict[str, float]:

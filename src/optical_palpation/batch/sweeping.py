@@ -12,13 +12,16 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from optical_palpation.analysis.maps import at_points_of
 from optical_palpation.arguments import check_instance, explained
 from optical_palpation.batch.dispatch import BatchProgress
 from optical_palpation.batch.reading import Batch, Scan
 from optical_palpation.batch.run import run_batch
 from optical_palpation.errors import ConvergenceError, InputError
+from optical_palpation.palpation.result import StressResult
 from optical_palpation.present import read_result
-from optical_palpation.study import Progress
+from optical_palpation.present.summary import force_error, of_mesh_alone
+from optical_palpation.study import Progress, warnings_about
 from optical_palpation.study.python import Study
 from optical_palpation.study.reading import plain
 from optical_palpation.study.stages import STRESS
@@ -64,9 +67,10 @@ def sweep(
     -------
     xarray.Dataset
         The maps of the result with the parameters as further dimensions, named with ``_`` for the
-        dot, ``friction_window``; over these alone ``window_force`` and ``sample_force`` (mN), and
-        ``failure``, empty, or why a point has no solution: its maps have no value. Where the
-        element size is one of the parameters, maps are interpolated to the points of the first.
+        dot, ``friction_window``; over these alone ``window_force`` and ``sample_force`` (mN),
+        ``force_error`` (mN) where errors were estimated, ``warnings``, what casts doubt on a point,
+        and ``failure``, empty, or why it has no solution: its maps have no value. Where the element
+        size is one of the parameters, maps are interpolated to the points of the first.
 
     Raises
     ------
@@ -168,14 +172,15 @@ def _on_workers(
 
 def _on(maps: xr.Dataset, base: xr.Dataset) -> xr.Dataset:
     """Maps on the points of other ones."""
-    at = {axis: base[axis] for axis in "yx"}
     if all(maps[axis].equals(base[axis]) for axis in "yx"):
         return maps
     parts = {}
     for name, field in maps.data_vars.items():
         if set(field.dims) == {"y", "x"}:
             method: Any = "linear" if field.dtype.kind == "f" else "nearest"
-            parts[name] = field.astype(float).interp(at, method=method).astype(field.dtype)
+            read = at_points_of(field.astype(float), base, method)
+            # whole numbers have no NaN: a point beyond the layer would be open, or worse
+            parts[name] = read if read.isnull().any() else read.astype(field.dtype)
     return xr.Dataset(parts, attrs=maps.attrs)
 
 
@@ -209,8 +214,19 @@ def _gathered(
         forces = [np.nan if m is None else float(m.attrs.get(force, np.nan)) for m in found]
         text = {"units": "mN", "long_name": f"force on the {side}"}
         result[f"{side}_force"] = (dims, np.reshape(forces, shape), text)
-    reasons = np.array(failures, dtype=object).reshape(shape).astype(str)
-    result["failure"] = (dims, reasons, {"long_name": "why a point has no solution"})
+    attrs = [{} if m is None else m.attrs for m in found]
+    # the error by the mesh is a part of the error
+    errors = np.array([None if of_mesh_alone(a) else force_error(a) for a in attrs], dtype=float)
+    if np.isfinite(errors).any():
+        text = {"units": "mN", "long_name": "error of the force"}
+        result["force_error"] = (dims, errors.reshape(shape), text)
+    doubts = ["" if m is None else "; ".join(warnings_about(StressResult(m))) for m in found]
+    for name, said, meaning in (
+        ("warnings", doubts, "what casts doubt on a point"),
+        ("failure", failures, "why a point has no solution"),
+    ):
+        texts = np.array(said, dtype=object).reshape(shape).astype(str)
+        result[name] = (dims, texts, {"long_name": meaning})
     result.attrs = {k: v for k, v in base.attrs.items() if k in _COMMON}
     return result
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -156,7 +156,21 @@ class ThicknessFiles:
         """Read the unloaded thickness: a number, or a map without gaps."""
         if is_number(self.initial_thickness):
             return float(self.initial_thickness)
-        return self._cleaned(Path(self.initial_thickness), self.initial_variable)["thickness"]
+        return self._unloaded["thickness"]
+
+    def initial_filled_share(self, loaded: xr.DataArray) -> float:
+        """Fraction of the layer on whose pixels the unloaded thickness is interpolated."""
+        from optical_palpation.thickness.frames import inside_layer
+
+        if is_number(self.initial_thickness):
+            return 0.0
+        here = {axis: loaded[axis] for axis in "yx"}
+        filled = self._unloaded["filled"].reindex(here, method="nearest")
+        return float(filled.values[inside_layer(loaded)].mean())
+
+    @cached_property
+    def _unloaded(self) -> xr.Dataset:
+        return self._cleaned(Path(self.initial_thickness), self.initial_variable)
 
     def _cleaned(self, path: Path, variable: str | None, **layer: Any) -> xr.Dataset:
         from optical_palpation.thickness import clean_thickness, read_thickness_map
@@ -176,10 +190,16 @@ class ThicknessFiles:
 
 def mark_filled(result: StressResult, cleaned: xr.Dataset) -> None:
     """Let what was filled in the loaded thickness go with a result."""
+    from optical_palpation.analysis.maps import area_mean
+
     # The maps of the computational method lie on the nodes of its elements, not on the pixels.
     here = {axis: result.maps[axis] for axis in "yx"}
     result.maps["filled"] = cleaned["filled"].reindex(here, method="nearest")
     result.maps.attrs |= cleaned.attrs
+    if "submodel_region_mm" in result.maps.attrs:  # the shares are those of the whole
+        for share in ("missing_share", "spike_share"):
+            del result.maps.attrs[share]
+        result.maps.attrs["filled_share"] = area_mean(result.maps["filled"])
 
 
 def each_on(workers: int | None, scheduler: str | None) -> Callable[..., Iterator[Any]] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 import tomllib
 from pathlib import Path
@@ -15,6 +16,9 @@ from optical_palpation.errors import ConvergenceError, InputError, OpticalPalpat
 
 if TYPE_CHECKING:
     from optical_palpation.study import Study
+
+#: Letters of the changed values in the name of a result folder.
+_LONGEST = 100
 
 
 def new(
@@ -159,5 +163,7 @@ def _with_folder(values: dict[str, Any], file: Path) -> dict[str, Any]:
     if not values or "outputs.folder" in values:
         return dict(values)
     said = "-".join(f"{name}={value}" for name, value in values.items())
-    safe = "".join(c if c.isalnum() or c in "=.-_," else "_" for c in said)[:100]
+    safe = "".join(c if c.isalnum() or c in "=.-_," else "_" for c in said)
+    if len(safe) > _LONGEST:  # what is cut off still tells one folder from another
+        safe = f"{safe[: _LONGEST - 9]}-{hashlib.sha256(said.encode()).hexdigest()[:8]}"
     return values | {"outputs.folder": f"{file.stem}-{safe}-results"}

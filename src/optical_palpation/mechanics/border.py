@@ -202,8 +202,10 @@ class Surroundings:
             bool(part.x[-1] < x1 - slack),
         )
 
-    def border(self, part: LayerGrid) -> Border:
-        """What holds the cut sides of a part, on the nodes of its grid."""
+    def border(self, part: LayerGrid) -> Border | None:
+        """What holds the cut sides of a part, on the nodes of its grid; None of the whole layer."""
+        if not any(self.cut(part)):
+            return None
         nz1, ny1, nx1 = part.node_shape
         numbers = np.arange(nz1 * ny1 * nx1).reshape(part.node_shape)
         found, sides = [], []

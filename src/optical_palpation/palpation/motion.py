@@ -157,21 +157,48 @@ def match_sample_motion(motion: xr.Dataset, loaded: xr.DataArray) -> xr.DataArra
                 f"{name} has the dimensions (y, x) with coordinates in mm; found dimensions "
                 f"{field.dims} with coordinates {tuple(field.coords)}"
             )
-        if not np.isfinite(field.values).all():
-            raise InputError(
-                f"{name} has {int((~np.isfinite(field.values)).sum())} missing or infinite values: "
-                "fill them first, smoothly"
-            )
         for part in (field, field["x"], field["y"]):
             unit = stated_unit("", part.attrs, str(part.name))
             if unit not in (None, "mm"):
                 raise InputError(f"{part.name} is in {unit}: give it in mm")
     motion = motion.transpose("y", "x").sortby(["y", "x"])
-    x0, x1, y0, y1 = layer_extent_of(loaded)
-    slack = 1e-6 * max(x1 - x0, y1 - y0)
+    check_motion(motion, layer_extent_of(loaded))
     at = {}
-    for axis, low, high in (("x", x0, x1), ("y", y0, y1)):
+    for axis in "xy":
         positions = motion[axis].values
+        at[axis] = np.clip(loaded[axis].values, positions[0], positions[-1])
+    attrs = {f"sample_motion_{key}": v for key, v in motion.attrs.items() if key in _SOURCE}
+    matched = motion.interp(at).to_array("component").assign_coords(x=loaded["x"], y=loaded["y"])
+    largest = np.sqrt((matched**2).sum("component")).max()
+    matched.attrs = attrs | {"sample_motion_largest_mm": float(largest)}
+    return matched
+
+
+def check_motion(motion: xr.Dataset, extent: tuple[float, float, float, float]) -> None:
+    """Refuse a motion of the sample that does not cover a layer, or is none of its surface.
+
+    Parameters
+    ----------
+    motion
+        As for :func:`match_sample_motion`.
+    extent
+        x0, x1, y0, y1 of the layer, mm.
+
+    Raises
+    ------
+    InputError
+        With the axis, the numbers, and what may have happened.
+    """
+    for name, field in motion.items():
+        if not np.isfinite(field.values).all():
+            raise InputError(
+                f"{name} has {int((~np.isfinite(field.values)).sum())} missing or infinite values: "
+                "fill them first, smoothly"
+            )
+    x0, x1, y0, y1 = extent
+    slack = 1e-6 * max(x1 - x0, y1 - y0)
+    for axis, low, high in (("x", x0, x1), ("y", y0, y1)):
+        positions = np.sort(motion[axis].values)
         steps = np.diff(positions)
         if not (positions.size > 1 and np.isfinite(positions).all() and (steps > 0).all()):
             raise InputError(
@@ -188,12 +215,6 @@ def match_sample_motion(motion: xr.Dataset, loaded: xr.DataArray) -> xr.DataArra
                 f"sample_displacement_{axis} is up to {largest:.3g} mm, more than a quarter of the "
                 f"layer's width of {high - low:g} mm. Is it in um, or has it outliers?"
             )
-        at[axis] = np.clip(loaded[axis].values, positions[0], positions[-1])
-    attrs = {f"sample_motion_{key}": v for key, v in motion.attrs.items() if key in _SOURCE}
-    matched = motion.interp(at).to_array("component").assign_coords(x=loaded["x"], y=loaded["y"])
-    largest = np.sqrt((matched**2).sum("component")).max()
-    matched.attrs = attrs | {"sample_motion_largest_mm": float(largest)}
-    return matched
 
 
 def _content(motion: object) -> str:

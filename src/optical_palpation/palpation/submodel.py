@@ -24,7 +24,7 @@ from optical_palpation.palpation.progress import Iterations, Progress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.surface import deformed_layer, force_on_map, surface_maps
 from optical_palpation.palpation.threads import limited_threads
-from optical_palpation.thickness.frames import layer_extent_of, on_grid
+from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 from optical_palpation.thickness.initial import match_initial_thickness
 
 #: Width in thicknesses of what is computed around the region and left out of the result.
@@ -147,6 +147,7 @@ def submodel_stress(
         "element_size_mm": list(part.grid.spacing[::-1]),
         "elements": list(part.grid.shape[::-1]),
         "imprint_smoothing_mm": smoothing,
+        **inputs.of_region((x0, x1, y0, y1)),
         "sample_force_mN": float(pressure.integrate(["x", "y"])),
         **ending,
         "submodel_region_mm": [x0, x1, y0, y1],
@@ -212,6 +213,17 @@ class SubmodelInputs:
     def pulls(self) -> bool:
         """Whether the sample is glued, and may pull."""
         return self.held["sample"] == "glued"
+
+    def of_region(self, region: Bounds) -> dict[str, float]:
+        """Attributes that say of a region what those of the coarse result say of the whole."""
+        there = inside_layer(self.loaded.assign_attrs(layer_extent=list(region)))
+        if not there.any():  # it lies between pixels
+            return {}
+        loaded, initial = self.loaded.values[there], self.initial.values[there]
+        return {
+            "initial_thickness_mm": float(initial.mean()),
+            "no_contact_share": 0.0 if self.pulls else float((loaded >= initial).mean()),
+        }
 
 
 def submodel_inputs(
@@ -285,7 +297,12 @@ _SETTINGS = ("method", "edges", "bulk_to_shear", "initial_thickness", "no_contac
 
 def settings_of(attrs: Mapping[Hashable, Any]) -> dict[Hashable, Any]:
     """Return the attributes of a coarse result that hold for its parts as well."""
-    return {key: value for key, value in attrs.items() if _is_setting(str(key))}
+    settings = {key: value for key, value in attrs.items() if _is_setting(str(key))}
+    if "unusual" in settings:  # what there is to say of its map is not said of theirs
+        of_map = misread(attrs)
+        said = [text for text in json.loads(settings["unusual"]) if text not in of_map]
+        settings["unusual"] = json.dumps(said)
+    return settings
 
 
 def _is_setting(name: str) -> bool:

@@ -14,12 +14,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.analysis import Region, traced
+from optical_palpation.analysis.maps import area_mean, on_layer
 from optical_palpation.arguments import check_instance, in_words
 from optical_palpation.errors import InputError
 from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.output import atomic, provenance
-from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.terms import (
     STATES,
     Term,
@@ -258,7 +258,7 @@ def draw_map(
         beside = _beside(axes)
         if named:
             bar = figure.colorbar(mesh, **beside, ticks=range(len(named)))
-            shares = [float(np.mean(values == k)) for k in range(len(named))]
+            shares = [area_mean(field == k) for k in range(len(named))]
             rows = zip(named, shares, strict=True)
             bar.ax.set_yticklabels([f"{name}\n{percent(share)}" for name, share in rows])
             bar.ax.tick_params(length=0)

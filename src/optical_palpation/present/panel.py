@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from optical_palpation.analysis.maps import map_error, on_layer
 from optical_palpation.errors import InputError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.figure import (
@@ -20,7 +21,7 @@ from optical_palpation.present.figure import (
     letter,
     width_in_mm,
 )
-from optical_palpation.present.profiles import centre_profiles, on_layer
+from optical_palpation.present.profiles import centre_profiles
 from optical_palpation.present.summary import methods_in
 from optical_palpation.present.terms import ALGEBRAIC, COMPUTATIONAL, common_limits, term
 
@@ -140,7 +141,7 @@ def _plot_profile(
     for method, name in methods.items():
         line = measured if name in measured and name != "axial_stress" else profile
         axes.plot(line[axis], line[name], color=colours[method], label=method)
-        if (error := profile.get(f"{name}_error")) is not None:
+        if (error := map_error(profile, name)) is not None:
             low, high = profile[name] - error, profile[name] + error
             axes.fill_between(profile[axis], low, high, color=colours[method], alpha=0.25, lw=0)
     axes.set_title(f"{across} = {float(profile[across]):.3g} mm", loc="left")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import xarray as xr
 
+from optical_palpation.analysis.maps import on_layer
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.output import atomic, provenance
 from optical_palpation.present.terms import STATE_NUMBERS
@@ -25,21 +26,11 @@ _COLUMNS = {
     "window_contact_state": "window_contact_state",
     "edge_influence": "edge_influence",
     "axial_stress_error": "axial_stress_error_kPa",
+    "axial_stress_mesh_error": "axial_stress_mesh_error_kPa",
     "sample_youngs_modulus": "sample_youngs_modulus_kPa",
     "sample_modulus_error": "sample_modulus_error",
     "thickness_misfit": "thickness_misfit_mm",
 }
-
-
-def on_layer(maps: xr.Dataset) -> xr.Dataset:
-    """Return the part of the maps that the layer covers; maps may reach beyond it."""
-    thickness = maps.get("loaded_thickness")
-    extent = None if thickness is None else thickness.attrs.get("layer_extent")
-    if extent is None:
-        return maps
-    x0, x1, y0, y1 = extent
-    slack = 1e-9 * max(x1 - x0, y1 - y0)
-    return maps.sel(x=slice(x0 - slack, x1 + slack), y=slice(y0 - slack, y1 + slack))
 
 
 def centre_profiles(maps: xr.Dataset) -> tuple[xr.Dataset, xr.Dataset]:

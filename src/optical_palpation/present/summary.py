@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.analysis.maps import area_mean, map_error
+from optical_palpation.analysis.maps import area_mean, at_points_of, map_error, on_layer
 from optical_palpation.palpation.edges import NOTABLE
 from optical_palpation.palpation.plausibility import SOFT_SAMPLE
 from optical_palpation.palpation.result import ContactState, Status, StressResult
-from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.terms import percent, plain, rounded
 
 # Percent; an incompressible layer that is free to spread stays far below.
@@ -154,7 +153,7 @@ def stress_figures(result: StressResult, method: str) -> tuple[str, str, str]:
     if not values.size:
         return "unknown", "unknown", "unknown"
     error = stress_error(method, maps)
-    error = None if error is None else error.interp(y=field["y"], x=field["x"])
+    error = None if error is None else at_points_of(error, field)
 
     def at(value: float) -> str:
         place = np.nanargmin(abs(field.values - value))
@@ -266,6 +265,23 @@ def of_series(series: xr.Dataset) -> str:
     )
 
 
+def of_solution(attrs: Mapping[Hashable, Any]) -> list[str]:
+    """Say what casts doubt on how a solution ended."""
+    said = []
+    change = attrs.get("volume_change_percent", 0.0)
+    if abs(change) > _NOTABLE_VOLUME_CHANGE:
+        said.append(
+            f"the volume of the layer changed by {change:.1f} %, which causes stress: between "
+            "roller edges a layer that is thinner all over is laterally confined"
+        )
+    if attrs.get("status") == Status.NEARLY:
+        said.append(
+            "nearly converged: friction at some edges goes on changing, and "
+            f"{percent(attrs['force_residual'])} of the contact forces are out of balance there"
+        )
+    return said
+
+
 def _submodel(attrs: Mapping[Hashable, Any]) -> list[str]:
     """Say what part of a layer was computed, and how well."""
     x0, x1, y0, y1 = attrs["submodel_region_mm"]
@@ -354,31 +370,23 @@ def summarise(result: StressResult) -> str:
         lines.append(
             f"not thinner than unloaded, so taken as open: {percent(open_share)} of the map"
         )
-    change = maps.attrs.get("volume_change_percent", 0.0)
-    if abs(change) > _NOTABLE_VOLUME_CHANGE:
-        lines.append(
-            f"WARNING: the volume of the layer changed by {change:.1f} %, which causes stress: "
-            "between roller edges a layer that is thinner all over is laterally confined"
-        )
     if "filled_share" in maps.attrs:
         parts = [
             f"{kind} {percent(share)}"
             for kind, key in (("missing", "missing_share"), ("spikes", "spike_share"))
-            if (share := maps.attrs[key])
+            if (share := maps.attrs.get(key))
         ]
         filled = maps.attrs["filled_share"]
-        said = f"{percent(filled)} of the map ({', '.join(parts)})" if filled else "none"
+        said = f"{percent(filled)} of the map" if filled else "none"
+        said += f" ({', '.join(parts)})" * bool(parts)
         lines.append(f"interpolated pixels: {said}")
-        if maps.attrs["filled_share"] > _NOTABLE_FILLED:
+        if unloaded := maps.attrs.get("initial_filled_share"):
+            lines.append(f"interpolated pixels, unloaded: {percent(unloaded)} of the map")
+        if max(filled, unloaded or 0.0) > _NOTABLE_FILLED:
             lines.append(
                 "WARNING: so much of the thickness map is made up that the stress in and around "
                 "the gaps is a guess"
             )
-    if maps.attrs.get("status") == Status.NEARLY:
-        lines.append(
-            "WARNING: nearly converged: friction at some edges goes on changing, and "
-            f"{percent(maps.attrs['force_residual'])} of the contact forces are out of balance "
-            "there"
-        )
-    lines += [f"WARNING: {text}" for text in json.loads(maps.attrs.get("unusual", "[]"))]
+    doubts = [*of_solution(maps.attrs), *json.loads(maps.attrs.get("unusual", "[]"))]
+    lines += [f"WARNING: {text}" for text in doubts]
     return plain("\n".join(lines))

@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.analysis.maps import area_mean
+from optical_palpation.analysis.maps import area_mean, on_layer
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present.output import atomic
-from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.summary import (
     force_error,
-    mean_stress,
     mean_stress_error,
+    methods,
     of_mesh_alone,
     touching_share,
 )
@@ -89,9 +88,11 @@ def result_columns(result: StressResult) -> dict[str, Any]:
     complete = not of_mesh_alone(about)  # the error by the mesh is a part of the error
     if complete and (error := force_error(about)) is not None:
         row["force_error_mN"] = error
-    for method, name in (("", "axial_stress"), ("algebraic_", "algebraic_axial_stress")):
-        stress = maps[name].values
-        row[f"{method}mean_axial_stress_kPa"] = mean_stress(maps, name)
+    for method, stress in (
+        ("", maps["axial_stress"]),
+        ("algebraic_", methods(result)["algebraic"]),  # of each pixel, as in the summary
+    ):
+        row[f"{method}mean_axial_stress_kPa"] = area_mean(stress)
         if complete and not method and (error := mean_stress_error(maps)) is not None:
             row["mean_axial_stress_error_kPa"] = error
         row[f"{method}first_percentile_axial_stress_kPa"] = float(np.nanpercentile(stress, 1))

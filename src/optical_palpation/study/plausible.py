@@ -9,6 +9,7 @@ import numpy as np
 
 from optical_palpation.errors import InputError, MaterialError
 from optical_palpation.palpation.meshing import SLIP_LENGTHS
+from optical_palpation.palpation.motion import check_motion
 from optical_palpation.palpation.plausibility import (
     check_count,
     check_elements,
@@ -17,7 +18,7 @@ from optical_palpation.palpation.plausibility import (
 )
 from optical_palpation.stiffness import check_sample
 from optical_palpation.study.compute import thickness_of
-from optical_palpation.study.inputs import by_side, earlier_loads, modelled_sample
+from optical_palpation.study.inputs import by_side, earlier_loads, modelled_sample, read_motion
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
 from optical_palpation.thickness import read_corrections, read_thickness_map
 from optical_palpation.thickness.frames import EXTENT_SLACK
@@ -88,6 +89,18 @@ def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
             f"{where}: friction.slip_length = {slip:g} mm is more than {SLIP_LENGTHS[1]:g} of "
             f"{what}, {longest:g} mm, above which it is no friction any more (it is in mm)"
         )
+    shortest = SLIP_LENGTHS[0] * (_unloaded(study) or 0.0)
+    if slip is not None and slip < shortest:
+        raise InputError(
+            f"{where}: friction.slip_length = {slip:g} mm is less than {SLIP_LENGTHS[0]:g} of the "
+            f"unloaded layer, {shortest:g} mm, below which friction flickers (it is in mm)"
+        )
+    motion = read_motion(study)
+    if motion is not None:
+        try:
+            check_motion(motion, (x0, x1, y0, y1))
+        except InputError as error:
+            raise InputError(f"{study.where('[sample]')}: {error}") from error
     if study.sample.modelled:
         _check_sample(study)
     smoothing, widest = study.grid.imprint_smoothing, 0.25 * min(x1 - x0, y1 - y0)

@@ -206,9 +206,9 @@ class Stages:
 
 
 def warnings_about(result: StressResult) -> list[str]:
-    """Say in plain words what casts doubt on a result, beyond what its summary says."""
+    """Say in plain words what casts doubt on a result."""
     attrs = result.maps.attrs
-    said = list(json.loads(attrs.get("unusual", "[]")))
+    said = [*present.of_solution(attrs), *json.loads(attrs.get("unusual", "[]"))]
     for key, which in (("filled_share", "loaded"), ("initial_filled_share", "unloaded")):
         if (share := attrs.get(key, 0.0)) > _NOTABLE_FILLED:
             said.append(

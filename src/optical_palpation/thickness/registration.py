@@ -20,7 +20,8 @@ def lateral_shift(reference: xr.DataArray, moving: xr.DataArray) -> tuple[float,
     Parameters
     ----------
     reference, moving
-        Maps ``(y, x)`` on grids of equal shape and spacing; coordinates in mm.
+        Maps ``(y, x)`` on grids of equal shape and spacing, which may begin at different places;
+        coordinates in mm.
 
     Returns
     -------
@@ -45,6 +46,7 @@ def lateral_shift(reference: xr.DataArray, moving: xr.DataArray) -> tuple[float,
     other = [_step(moving, axis) for axis in ("y", "x")]
     if not np.allclose(steps, other, rtol=1e-3):
         raise InputError(f"lateral_shift: pixel spacings {steps} and {other} mm differ")
+    # by number of pixel, since two scans of one sample may begin anywhere
     total = np.zeros(2)
     for _ in range(ROUNDS):
         rest = _features(shift_map(moving, (total[0], total[1])))
@@ -53,7 +55,8 @@ def lateral_shift(reference: xr.DataArray, moving: xr.DataArray) -> tuple[float,
         )
         # skimage gives the shift that takes `moving` back to `reference`.
         total -= np.asarray(found) * steps
-    return float(total[0]), float(total[1])
+    begin = [float(moving[axis][0] - reference[axis][0]) for axis in ("y", "x")]
+    return float(total[0]) + begin[0], float(total[1]) + begin[1]
 
 
 def shift_map(moving: xr.DataArray, shift: tuple[float, float]) -> xr.DataArray:

@@ -11,10 +11,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.analysis import Region, compare_results, region_statistics, traced
-from optical_palpation.analysis.maps import area_mean, map_error
+from optical_palpation.analysis.maps import area_mean, at_points_of, map_error, on_layer
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present.figure import colour_map
-from optical_palpation.present.profiles import on_layer
 from optical_palpation.present.report.maps import encode_map, encode_maps
 from optical_palpation.present.summary import (
     INPUTS,
@@ -238,7 +237,7 @@ def _profile_range(
     ends = dict(stress)
     for method, field in stress.items():
         if (error := map_error(maps, names[method])) is not None:
-            error = error.interp(y=field["y"], x=field["x"])
+            error = at_points_of(error, field)
             ends |= {f"{method}, low": field - error, f"{method}, high": field + error}
     lowest, highest = common_limits(ends, "", share=0.1)
     return max(lowest, 2 * low - high), min(highest, 2 * high - low)
@@ -281,7 +280,7 @@ def region_rows(
     """Headings and rows of a table of regions of interest."""
     if not regions:
         return [], []
-    found = region_statistics(on_layer(result.maps), regions)
+    found = region_statistics(result.maps, regions)
     columns = [
         str(name)
         for name in found.data_vars
@@ -407,12 +406,26 @@ def key_figures(
         given = rounded(attrs["initial_thickness_mm"], errors.get("unloaded"))
         figures.append(("Unloaded thickness, mean", f"{given} mm"))
     for state, field in thickness.items():
-        middle = rounded(field.median(), errors.get(state))
+        middle = rounded(_within(field, maps).median(), errors.get(state))
         figures.append((f"{state.title()} thickness, median", f"{middle} mm"))
-    for state, layer in (("unloaded", unloaded), ("loaded", loaded)):
-        if layer is not None and "filled" in layer and (fraction := float(layer["filled"].mean())):
-            figures.append((f"Interpolated pixels, {state}", percent(fraction)))
+    for state, layer, key in (
+        ("unloaded", unloaded, "initial_filled_share"),
+        ("loaded", loaded, "filled_share"),
+    ):
+        if layer is not None and "filled" in layer:
+            fraction = attrs.get(key, float(_within(layer["filled"], maps).mean()))
+            if fraction:
+                figures.append((f"Interpolated pixels, {state}", percent(fraction)))
     return figures
+
+
+def _within(field: xr.DataArray, maps: xr.Dataset) -> xr.DataArray:
+    """The part of a field of the whole image that maps of the layer cover."""
+    for axis in "yx":
+        low, high = float(maps[axis].min()), float(maps[axis].max())
+        slack = 1e-6 * (high - low)
+        field = field.sel({axis: (field[axis] >= low - slack) & (field[axis] <= high + slack)})
+    return field
 
 
 def _thickness_errors(attrs: Mapping[Any, Any]) -> dict[str, float]:

@@ -52,6 +52,12 @@ class Grid {
     return { x: [x0, x0 + (nx - 1) * dx], y: [y0, y0 + (ny - 1) * dy] };
   }
 
+  // Part of a pixel that lies in the map, which ends at its outermost points.
+  part(k) {
+    const half = (at, count) => (count > 1 && (at === 0 || at === count - 1) ? 0.5 : 1);
+    return half(k % this.nx, this.nx) * half(Math.floor(k / this.nx), this.ny);
+  }
+
   column(x) {
     return Math.round((x - this.x0) / this.dx);
   }

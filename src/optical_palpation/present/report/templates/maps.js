@@ -151,11 +151,16 @@ class MapPlot extends Plot {
   }
 
   legend() {
-    const counts = {};
-    for (const value of this.grid.values) counts[value] = (counts[value] ?? 0) + 1;
-    const present = Object.entries(data.states).filter(([k]) => counts[k]);
+    const areas = {};
+    let whole = 0;
+    this.grid.values.forEach((value, k) => {
+      const part = this.grid.part(k);
+      areas[value] = (areas[value] ?? 0) + part;
+      whole += part;
+    });
+    const present = Object.entries(data.states).filter(([k]) => areas[k]);
     const items = present.map(([k, name]) => {
-      const share = (100 * counts[k]) / this.grid.values.length;
+      const share = (100 * areas[k]) / whole;
       const swatch = element("i", { class: `swatch ${name}` });
       return element("span", {}, swatch, `${name} ${share.toFixed(1)}\u202f%`);
     });
