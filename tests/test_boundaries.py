@@ -148,13 +148,38 @@ def test_amplitude_intensity_and_decibels_give_the_same_layer():
     assert rms((maps[3] - maps[0]) / SPACING[0]) < 0.3
 
 
-def test_padding_without_data_is_no_layer():
+@pytest.mark.parametrize(("above", "below"), [(60, 0), (0, 300)])
+def test_padding_without_data_is_no_layer(above, below):
     stack = np.stack(list(volume()), axis=1)
-    padded = np.concatenate([np.zeros((60, *SHAPE), np.float32), stack])
+    padded = np.pad(stack, [(above, below), (0, 0), (0, 0)])
     layer = find_layer(padded, spacing=SPACING, scale="linear")
     error = (layer.thickness.values - SMOOTH) / SPACING[0]
     assert rms(error) < 0.7
-    assert float(layer.window_depth.min()) > 60 * SPACING[0]
+    assert abs(error.mean()) < 0.2  # an amplitude is still known to be one
+    assert float(layer.window_depth.min()) > above * SPACING[0]
+
+
+def test_eight_bits_are_an_amplitude_as_well():
+    stack = np.stack(list(volume()), axis=1)
+    stored = (255 * stack / stack.max()).astype(np.uint8)  # of noise three steps are left
+    layer = find_layer(stored, spacing=SPACING, scale="linear")
+    assert abs(np.mean(layer.thickness.values - SMOOTH)) < 0.2 * SPACING[0]
+
+
+@pytest.mark.parametrize("gain", [2.0**-60, 2.0**40])
+def test_the_unit_of_the_signal_does_not_matter(gain):
+    stack = np.stack(list(volume()), axis=1)
+    plain = find_layer(stack, spacing=SPACING, scale="linear")
+    assert find_layer(stack * np.float32(gain), spacing=SPACING, scale="linear").equals(plain)
+
+
+def test_resolution_is_that_of_a_sample_at_the_end_of_the_volume_too():
+    """A layer that fills the depth: the speckle lies in the last pixels, the tile's remainder."""
+    flat = np.full(SHAPE, 0.35)
+    of = SyntheticOCT(flat, SPACING, 190, tilt=(0.02, 0.03))
+    layer, error = found(of)
+    assert layer.axial_resolution_mm == pytest.approx(of.optics.axial_resolution, rel=0.15)
+    assert abs(error.mean()) < 0.3
 
 
 def test_single_bscan_and_known_window():
