@@ -182,6 +182,35 @@ def test_resolution_is_that_of_a_sample_at_the_end_of_the_volume_too():
     assert abs(error.mean()) < 0.3
 
 
+@pytest.mark.parametrize("nothing", [None, 0.0, np.nan])
+def test_where_the_sample_lies_beyond_the_data_it_is_not_seen(nothing):
+    thickness = 0.35 + 0.1 * np.sin(2 * np.pi * X / 0.9)
+    of = SyntheticOCT(thickness, SPACING, 300, tilt=(0.02, 0.03))
+    stack = np.stack(list(of), axis=1)
+    if nothing is None:
+        stack = stack[:200].copy()
+    else:
+        stack[200:] = nothing
+    layer = find_layer(stack, spacing=SPACING, scale="linear")
+    beyond = (of.window_map + thickness) / SPACING[0] > 200
+    assert layer.sample_filled.values[beyond].all()
+    error = np.abs(layer.thickness.values - thickness) / SPACING[0]
+    assert error[~layer.filled.values].max() < 3.0
+    assert 0.1 < layer.filled_share < 0.4
+
+
+def test_ascans_without_data_are_filled():
+    stack = np.stack(list(volume()), axis=1)
+    stack[:, :, :24] = np.nan
+    stack[:, 20:24, :] = 0.0
+    layer = find_layer(stack, spacing=SPACING, scale="linear")
+    assert layer.window_filled.values[:, :24].all()
+    assert layer.sample_filled.values[20:24].all()
+    assert not layer.filled.values[26:, 26:].any()
+    error = np.abs(layer.thickness.values - SMOOTH) / SPACING[0]
+    assert error[~layer.filled.values].max() < 3.0
+
+
 def test_single_bscan_and_known_window():
     of = volume()
     image = of.bscan(20)[:, None, :]

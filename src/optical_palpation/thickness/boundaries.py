@@ -492,6 +492,7 @@ def _finish(
         lateral = scan.lateral
         # a line is a reflection everywhere
         glare = _glare(bands[name], lateral) if edge == "rise" else np.ones((ny, nx))
+        blank = np.all(bands[name] < 0, axis=2)  # though its neighbours may tell something
         depth, quality = refine(
             bands.pop(name),
             starts[name],
@@ -505,7 +506,7 @@ def _finish(
         if method == "canny":
             depth = start
         excluded = _excluded(scan, fixes, name)
-        lost = ~np.isfinite(depth) | (quality < WORST_CONTRAST) | excluded
+        lost = ~np.isfinite(depth) | (quality < WORST_CONTRAST) | excluded | blank
         lost |= (depth < 0) | (depth > scan.shape[0] - 1)
         if np.mean(lost) > 0.95:
             raise InputError(
