@@ -211,6 +211,21 @@ def test_ascans_without_data_are_filled():
     assert error[~layer.filled.values].max() < 3.0
 
 
+def test_no_sample_side_is_found_within_the_resolution_of_the_window():
+    thin = np.full(SHAPE, 0.025)
+    with pytest.raises(InputError, match="sample side of the layer is nowhere"):
+        found(volume(thin))
+    upside_down = np.stack(list(volume()), axis=1)[::-1].copy()
+    for edge in ("rise", "fall"):
+        with pytest.raises(InputError, match="sample side of the layer is nowhere"):
+            find_layer(upside_down, spacing=SPACING, scale="linear", sample=edge)
+    dip = 0.25 - 0.24 * np.exp(-((X - 0.48) ** 2 + (Y - 0.32) ** 2) / 0.15**2)
+    layer, error = found(volume(dip))
+    assert float(layer.thickness.min()) > 0
+    assert layer.sample_filled.values[dip < 0.02].all()
+    assert np.abs(error[~(layer.filled | layer.specular).values]).max() < 3.0
+
+
 def test_single_bscan_and_known_window():
     of = volume()
     image = of.bscan(20)[:, None, :]

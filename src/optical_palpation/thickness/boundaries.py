@@ -24,6 +24,8 @@ from .tracking import Edge, Reduced, reduce_volume, track
 Method = Literal["surface", "canny"]
 Range = tuple[float, float]
 Progress = Callable[[float], None]
+#: What a boundary looks like, about where it is, and what it lies below: `[y, x]`, pixels.
+Estimate = tuple[Edge, NDArray, NDArray]
 
 GUARD = 6.0  # axial resolutions (standard deviations) within which two boundaries are one
 BAND = 24.0  # ... around a tracked surface that are read again for its refinement
@@ -221,7 +223,7 @@ class LayerFinder:
         self._ranges = {"window": window_range, "sample": sample_range}
         self._located: dict[str, _Located] = {}
         self._parts: dict[str, tuple[NDArray, NDArray, NDArray, NDArray]] = {}
-        self._finished: dict[str, tuple[NDArray, NDArray]] = {}
+        self._finished: dict[str, tuple[NDArray, ...]] = {}
 
     def find(
         self,
@@ -253,17 +255,18 @@ class LayerFinder:
         ny, nx = scan.shape[1:]
         whole = (0.0, scan.shape[0] - 1.0)
         first, last = scan.depths(self._ranges["window"], whole)
-        found: dict[str, tuple[Edge, NDArray]] = {}
+        found: dict[str, Estimate] = {}
         if isinstance(window, str):
             ends = np.full((ny, nx), first), np.full((ny, nx), last)
             top = self._locate("window", window, *ends, fixes)
-            found["window"] = window, top
+            found["window"] = window, top, np.zeros((ny, nx))
         else:
             top = np.full((ny, nx), (float(window) - scan.origin[0]) / scan.spacing[0])
         first, last = scan.depths(self._ranges["sample"], whole)
-        lowest = np.maximum(first, top + GUARD * scan.sigma)
-        bottom = self._locate("sample", self._sample, lowest, np.full((ny, nx), last), fixes)
-        found["sample"] = self._sample, bottom
+        guarded = np.maximum(top + GUARD * scan.sigma, 0.0)
+        ends = np.maximum(first, guarded), np.full((ny, nx), last)
+        bottom = self._locate("sample", self._sample, *ends, fixes)
+        found["sample"] = self._sample, bottom, guarded
         tell(0.1)
         nowhere = np.zeros((ny, nx), bool)
         parts = {"window": (top, np.ones((ny, nx)), nowhere, nowhere)}
@@ -297,18 +300,18 @@ class LayerFinder:
         return known.start
 
     def _finish(
-        self, found: dict[str, tuple[Edge, NDArray]], fixes: Corrections, progress: Progress
+        self, found: dict[str, Estimate], fixes: Corrections, progress: Progress
     ) -> dict[str, tuple[NDArray, NDArray, NDArray, NDArray]]:
         """Refine the boundaries whose estimate or excluded pixels have changed."""
         changed, made_from = {}, {}
-        for boundary, (edge, start) in found.items():
-            made_from[boundary] = start, _excluded(self._scan, fixes, boundary)
+        for boundary, (_, *depths) in found.items():
+            made_from[boundary] = *depths, _excluded(self._scan, fixes, boundary)
             before = self._finished.get(boundary)
             if before is None or not all(
                 np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
                 for a, b in zip(before, made_from[boundary], strict=True)
             ):
-                changed[boundary] = edge, start
+                changed[boundary] = found[boundary]
         if changed:
             new = _finish(self._scan, changed, fixes, self._method, progress)
             self._parts |= new
@@ -380,7 +383,8 @@ def find_surface(
     found = _locate(
         scan, edge, np.full(shape, first), np.full(shape, last), fixes, "sample", method
     )
-    parts = _finish(scan, {"sample": (edge, found)}, fixes, method, lambda share: None)
+    estimates = {"sample": (edge, found, np.zeros(shape))}
+    parts = _finish(scan, estimates, fixes, method, lambda share: None)
     depth, quality, filled, _ = parts["sample"]
     return xr.Dataset(
         {
@@ -466,7 +470,7 @@ def _locate(
 
 def _finish(
     scan: _Scan,
-    found: dict[str, tuple[Edge, NDArray]],
+    found: dict[str, Estimate],
     fixes: Corrections,
     method: Method,
     progress: Progress,
@@ -480,7 +484,7 @@ def _finish(
     bands = {name: np.empty((ny, nx, 2 * reach + 1), np.float32) for name in found}
     starts = {
         name: np.nan_to_num(np.round(depth), nan=0.0).astype(np.int64) - reach
-        for name, (_, depth) in found.items()
+        for name, (_, depth, _) in found.items()
     }
     for y in range(ny):
         image = scan.read(y)
@@ -488,7 +492,7 @@ def _finish(
             take_band(image, starts[name][y], bands[name][y])
         progress(0.5 * (y + 1) / ny)
     parts = {}
-    for name, (edge, start) in found.items():
+    for name, (edge, start, shallowest) in found.items():
         lateral = scan.lateral
         # a line is a reflection everywhere
         glare = _glare(bands[name], lateral) if edge == "rise" else np.ones((ny, nx))
@@ -507,7 +511,7 @@ def _finish(
             depth = start
         excluded = _excluded(scan, fixes, name)
         lost = ~np.isfinite(depth) | (quality < WORST_CONTRAST) | excluded | blank
-        lost |= (depth < 0) | (depth > scan.shape[0] - 1)
+        lost |= (depth < shallowest) | (depth > scan.shape[0] - 1)
         if np.mean(lost) > 0.95:
             raise InputError(
                 f"the {name} side of the layer is nowhere to be seen; check the volume, what the "
