@@ -439,6 +439,8 @@ def test_maps_are_registered_to_each_other():
     reference, moving = features(0.0, 0.0), features(0.03, -0.052)
     shift = lateral_shift(reference, moving)
     assert shift == pytest.approx((0.03, -0.052), abs=0.01)
+    elsewhere = moving.assign_coords(y=moving.y + 0.2, x=moving.x - 0.1)
+    assert lateral_shift(reference, elsewhere) == pytest.approx((0.23, -0.152), abs=0.01)
     inner = (slice(10, -10), slice(10, -10))
     plane = 5.0 * 0.052  # the tilt travels along and is not a feature
     back = shift_map(moving, shift).values[inner]

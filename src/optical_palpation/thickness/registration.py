@@ -53,7 +53,9 @@ def lateral_shift(reference: xr.DataArray, moving: xr.DataArray) -> tuple[float,
         )
         # skimage gives the shift that takes `moving` back to `reference`.
         total -= np.asarray(found) * steps
-    return float(total[0]), float(total[1])
+    # That counts pixels; the grids themselves may lie apart.
+    y, x = (float(moving[a].values[0] - reference[a].values[0]) for a in ("y", "x"))
+    return float(total[0]) + y, float(total[1]) + x
 
 
 def shift_map(moving: xr.DataArray, shift: tuple[float, float]) -> xr.DataArray:
