@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -370,6 +372,43 @@ def test_a_correction_outside_the_volume_leaves_the_finder_as_it_was():
     with pytest.raises(InputError, match="outside the volume"):
         finder.find(Corrections((Anchor("sample", 99.0, 0.0, 0.1),)))
     assert finder.find().identical(before)
+
+
+def with_dim_cap() -> np.ndarray:
+    """A sample whose first 60 um scatter a hundred times less than what lies below."""
+    dim, bright = volume(snr_db=8.0), volume(SMOOTH + 0.06, snr_db=28.0, window_db=None, seed=1)
+    return np.hypot(*(np.stack(list(of), axis=1) for of in (dim, bright)))
+
+
+def test_what_else_may_be_a_boundary_is_told():
+    stack = np.stack(list(volume()), axis=1)
+    line = stack.copy()
+    line[19:22] = stack.max()  # of the instrument, at a fixed depth
+    for data, search, texts in (
+        (line, {}, ["line nearly as bright as the window's lies about 0.09"]),
+        (line, {"window_range": (0.1, 0.2)}, []),
+        (with_dim_cap(), {}, ["scattering from about 0.06"]),
+        (stack, {}, []),
+    ):
+        layer = find_layer(data, spacing=SPACING, scale="linear", **search)
+        doubts = json.loads(layer.doubts)
+        assert len(doubts) == len(texts)
+        assert all(text in doubt for text, doubt in zip(texts, doubts, strict=True))
+        assert (rms(layer.thickness.values - SMOOTH) > 5 * SPACING[0]) == bool(texts)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"layer_db": -12.0},  # haze in the layer
+        {"ghosts": ((0.15, 5.0), (0.2, -5.0)), "saturated": 0.03, "interface_db": 0.0},
+        {"gap": np.where(X > 0.7, 0.06, 0.0), "interface_db": 5.0},
+        {"snr_db": 3.0, "window_db": 40.0},
+        {"thickness": 0.35 + 0.1 * np.sin(2 * np.pi * X / 0.6)},  # a slope of 1
+    ],
+)
+def test_there_is_no_doubt_about_a_layer_that_is_found(other):
+    assert json.loads(found(volume(**other))[0].doubts) == []
 
 
 def test_noise_holds_no_layer():

@@ -438,3 +438,18 @@ def test_thickness_refuses_what_it_cannot_use_and_writes_nothing(here, run, argu
     assert (status, out) == (2, "")
     assert words in " ".join(err.replace("│", " ").split())
     assert {path.name for path in here.iterdir()} == before
+
+
+def test_what_else_may_be_a_boundary_is_a_warning(here, run):
+    """A line of the instrument beside the window's."""
+    unloaded = np.load("unloaded.npy")
+    unloaded[:, 100:103] += 0.3 * unloaded.max()
+    (here / "unloaded.npy").unlink()  # it is shared with other tests
+    np.save("unloaded.npy", unloaded)
+    status, _, err = run("thickness", "unloaded.npy", *READING, "--output", "unloaded.nc")
+    assert status == 0
+    assert "warning: a line nearly as bright as the window's" in err
+    status, out, _ = run("run", "study.toml")
+    assert status == 0
+    assert "WARNING: unloaded volume: a line nearly as bright as the window's" in out
+    assert "loaded volume: a line" not in out.replace("unloaded", "")

@@ -77,8 +77,10 @@ def thickness_of(study: Study, found: Mapping[str, xr.Dataset]) -> xr.Dataset:
     )
     own = {key: v for key, v in matched.attrs.items() if not key.startswith("source")}
     matched.attrs = own | source  # and not the file of the loaded thickness
-    if isinstance(study.loaded, VolumeInput):
-        attrs["specular_share"] = found["loaded"].attrs["specular_share"]
+    for side in by_side(study):
+        of = "" if side == "loaded" else "initial_"
+        attrs[f"{of}specular_share"] = found[side].attrs["specular_share"]
+        attrs[f"{of}doubts"] = found[side].attrs["doubts"]
     result = xr.Dataset(
         {
             "loaded_thickness": cleaned["thickness"],

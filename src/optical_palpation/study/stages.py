@@ -209,18 +209,19 @@ def warnings_about(result: StressResult) -> list[str]:
     """Say in plain words what casts doubt on a result, beyond what its summary says."""
     attrs = result.maps.attrs
     said = list(json.loads(attrs.get("unusual", "[]")))
-    for key, which in (("filled_share", "loaded"), ("initial_filled_share", "unloaded")):
-        if (share := attrs.get(key, 0.0)) > _NOTABLE_FILLED:
+    for of, which in (("", "loaded"), ("initial_", "unloaded")):
+        if (share := attrs.get(f"{of}filled_share", 0.0)) > _NOTABLE_FILLED:
             said.append(
                 f"{present.percent(share)} of the {which} thickness could not be measured and was "
                 "interpolated: look at the boundaries before you trust the stress there"
             )
-    if (share := attrs.get("specular_share", 0.0)) > 0:
-        said.append(
-            f"{present.percent(share)} of the loaded volume is outshone by reflections, which may "
-            "draw the boundary to themselves: look at the pixels marked as specular in "
-            "boundaries-loaded.nc"
-        )
+        if (share := attrs.get(f"{of}specular_share", 0.0)) > 0:
+            said.append(
+                f"{present.percent(share)} of the {which} volume is outshone by reflections, which "
+                "may draw the boundary to themselves: look at the pixels marked as specular in "
+                f"boundaries-{which}.nc"
+            )
+        said += [f"{which} volume: {text}" for text in json.loads(attrs.get(f"{of}doubts", "[]"))]
     if "registration_shift_mm" in attrs:
         y, x = np.ravel(attrs["registration_shift_mm"])
         said.append(

@@ -1,5 +1,6 @@
 """The layer's two boundaries in an OCT volume, and its thickness between them."""
 
+import json
 import mmap
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from .cleaning import _fill
 from .corrections import Corrections, read_corrections
 from .intensity import BScans, Read, Scale, intensity_reader, point_spread
 from .refinement import refine, take_band
+from .rivals import rival_line, rival_rise
 from .tracking import Edge, Reduced, reduce_volume, track
 
 Method = Literal["surface", "canny"]
@@ -145,7 +147,8 @@ def find_layer(
         outshines the sample, 0 where interpolated), ``window_filled`` and ``sample_filled`` (True
         where the boundary was not seen, or was an outlier, and was interpolated), ``filled`` (True
         where either of them was) and ``specular`` (True where there is such a reflection, which may
-        draw the boundary to itself).
+        draw the boundary to itself). The attribute ``doubts`` is a list of texts (JSON): what else
+        in the volume may be a boundary as well.
 
     Raises
     ------
@@ -271,8 +274,10 @@ class LayerFinder:
         nowhere = np.zeros((ny, nx), bool)
         parts = {"window": (top, np.ones((ny, nx)), nowhere, nowhere)}
         parts |= self._finish(found, fixes, lambda share: tell(0.1 + 0.9 * share))
+        found_layer = self._dataset(parts)
+        found_layer.attrs["doubts"] = json.dumps(self._doubts(parts))
         tell(1.0)
-        return self._dataset(parts)
+        return found_layer
 
     def _locate(
         self,
@@ -317,6 +322,25 @@ class LayerFinder:
             self._parts |= new
             self._finished |= {boundary: made_from[boundary] for boundary in new}
         return {boundary: self._parts[boundary] for boundary in found}
+
+    def _doubts(self, parts: dict[str, tuple[NDArray, NDArray, NDArray, NDArray]]) -> list[str]:
+        """What else may be a boundary of the layer, in words."""
+        scan, said = self._scan, []
+        seen = scan.reduced, scan.sigma, parts["window"][0], parts["sample"][0]
+        dz = scan.spacing[0]
+        if self._window == "line":
+            search = scan.depths(self._ranges["window"], (0.0, scan.shape[0] - 1.0))
+            if (off := rival_line(*seen, search)) is not None:
+                said.append(
+                    f"a line nearly as bright as the window's lies about {dz * off:.2g} mm from "
+                    "it: see which is the window, and say so by window_range"
+                )
+        if self._sample == "rise" and (off := rival_rise(*seen)) is not None:
+            said.append(
+                f"there is scattering from about {dz * off:.2g} mm above the sample side on: see "
+                "where the sample begins, and say so by sample_range"
+            )
+        return said
 
     def _dataset(self, parts: dict[str, tuple[NDArray, NDArray, NDArray, NDArray]]) -> xr.Dataset:
         scan = self._scan
