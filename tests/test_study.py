@@ -449,7 +449,9 @@ def test_what_else_may_be_a_boundary_is_a_warning(here, run):
     status, _, err = run("thickness", "unloaded.npy", *READING, "--output", "unloaded.nc")
     assert status == 0
     assert "warning: a line nearly as bright as the window's" in err
-    status, out, _ = run("run", "study.toml")
-    assert status == 0
-    assert "WARNING: unloaded volume: a line nearly as bright as the window's" in out
-    assert "loaded volume: a line" not in out.replace("unloaded", "")
+    for options in (["--thickness-only"], []):
+        status, out, _ = run("run", "study.toml", *options)
+        assert status == 0
+        assert "WARNING: unloaded volume: a line nearly as bright as the window's" in out
+        assert "loaded volume: a line" not in out.replace("unloaded", "")
+        assert "of the loaded thickness could not be measured" in out

@@ -208,12 +208,28 @@ class Stages:
 def warnings_about(result: StressResult) -> list[str]:
     """Say in plain words what casts doubt on a result, beyond what its summary says."""
     attrs = result.maps.attrs
-    said = list(json.loads(attrs.get("unusual", "[]")))
+    said = [*json.loads(attrs.get("unusual", "[]")), *warnings_about_thickness(attrs)]
+    if sides := present.edge_influence(attrs):
+        said.append(
+            f"sides of the layer: {sides}. See to it that the layer ends where the study says, at "
+            "the border of the map or of the extent in [layer], and has such edges"
+        )
+    if (imbalance := attrs.get("force_balance", 0.0)) > _NOTABLE_IMBALANCE:
+        said.append(
+            f"the forces at window and sample differ by {present.percent(imbalance)}: the solution "
+            "is not in equilibrium"
+        )
+    return said
+
+
+def warnings_about_thickness(attrs: Mapping[Any, Any]) -> list[str]:
+    """Say in plain words what casts doubt on the thickness, by the attributes of its maps."""
+    said = []
     for of, which in (("", "loaded"), ("initial_", "unloaded")):
         if (share := attrs.get(f"{of}filled_share", 0.0)) > _NOTABLE_FILLED:
             said.append(
                 f"{present.percent(share)} of the {which} thickness could not be measured and was "
-                "interpolated: look at the boundaries before you trust the stress there"
+                "interpolated: look at the boundaries before you trust what is computed there"
             )
         if (share := attrs.get(f"{of}specular_share", 0.0)) > 0:
             said.append(
@@ -227,15 +243,5 @@ def warnings_about(result: StressResult) -> list[str]:
         said.append(
             f"the unloaded map lay {x:+.3g} mm in x and {y:+.3g} mm in y off the loaded one and "
             "was shifted back by that"
-        )
-    if sides := present.edge_influence(attrs):
-        said.append(
-            f"sides of the layer: {sides}. See to it that the layer ends where the study says, at "
-            "the border of the map or of the extent in [layer], and has such edges"
-        )
-    if (imbalance := attrs.get("force_balance", 0.0)) > _NOTABLE_IMBALANCE:
-        said.append(
-            f"the forces at window and sample differ by {present.percent(imbalance)}: the solution "
-            "is not in equilibrium"
         )
     return said
