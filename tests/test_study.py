@@ -304,6 +304,21 @@ def test_the_unloaded_map_is_registered_to_the_loaded_one(here, run):
         assert thickness["initial_filled"].values[:, 0].all()  # beyond the unloaded map
 
 
+def test_what_is_interpolated_from_a_filled_pixel_is_filled(here, run):
+    """The unloaded map has pixels four times as far apart, one of them missing."""
+    before, after = np.full((11, 11), 0.5), np.full((41, 41), 0.4)
+    before[5, 5] = np.nan
+    for name, values, step in (("before", before, 0.2), ("after", after, 0.05)):
+        write_thickness_map(thickness_map(values, pixel_spacing=(step, step)), f"{name}.nc")
+    inputs = '[unloaded]\nmap = "before.nc"\n[loaded]\nmap = "after.nc"\n'
+    make_study(here, inputs + STUDY[STUDY.index("[material]") :])
+    assert run("run", "study.toml", "--thickness-only")[0] == 0
+    with xr.open_dataset("study-results/thickness.nc") as thickness:
+        expected = np.zeros((41, 41), bool)
+        expected[17:24, 17:24] = True
+        np.testing.assert_array_equal(thickness["initial_filled"].values, expected)
+
+
 def test_corrections_reach_the_thickness(here, run):
     (here / "fix.txt").write_text("exclude sample 0.6 0.9 0.3 0.6\n")
     make_study(here, STUDY.replace("[loaded]", '[loaded]\ncorrections = "fix.txt"'))

@@ -71,7 +71,10 @@ def thickness_of(study: Study, found: Mapping[str, xr.Dataset]) -> xr.Dataset:
             attrs["registration_shift_mm"] = list(shift)  # y, x
         whole = clean_thickness(unloaded)
         initial = whole["thickness"]
-        made_up = whole["filled"].reindex(here, method="nearest")
+        # Between pixels of another grid the thickness is interpolated, and what was filled counts.
+        within = {a: at.clip(whole[a].min(), whole[a].max()) for a, at in here.items()}
+        made_up = whole["filled"].astype(float).interp(within).assign_coords(here) > 1e-6
+        made_up.attrs = whole["filled"].attrs
     matched = match_initial_thickness(
         initial, cleaned["thickness"], glued=study.friction.sample_glued
     )
