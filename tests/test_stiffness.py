@@ -13,7 +13,7 @@ from scipy.sparse.linalg import spsolve
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.experiment import Scene, run_experiment
 from optical_palpation.mechanics.iteration import TOLERANCES, relaxed
-from optical_palpation.mechanics.stack.assembly import Blocks, Mesh
+from optical_palpation.mechanics.stack.assembly import Blocks, Mesh, assemble
 from optical_palpation.mechanics.stack.cascade import solve
 from optical_palpation.mechanics.stack.newton import balance, equilibrate, make_solver
 from optical_palpation.mechanics.stack.problem import INTERFACE, SAMPLE
@@ -578,6 +578,17 @@ def _blocks(of):
         friction=(of.friction.window, of.friction.sample, of.friction.plate),
         travel=of.compression,
     )
+
+
+def test_what_stands_out_beside_the_layer_is_not_where_they_touch_first():
+    """The travel of the plate counts from there."""
+    blocks = replace(_blocks(scene()), sample_size=(4.0, 4.0))
+    here, outside = (
+        assemble(replace(blocks, relief=lambda x, _, at=at: 0.1 * (x > at)), Mesh(0.375))
+        for at in (1.5, 3.1)
+    )
+    assert here.plate == pytest.approx(1.6)
+    assert outside.plate == pytest.approx(1.5)
 
 
 def test_surface_follows_what_elements_can_and_leaves_the_noise():

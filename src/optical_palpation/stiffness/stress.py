@@ -308,7 +308,7 @@ def _springs(
     inside = measured.covers(x, y)
     loaded = measured(x.ravel(), y.ravel()).reshape(x.shape)
     stretch = np.clip(np.where(inside, loaded, np.nan) / unloaded, 0.05, 1.0)
-    apart = (unloaded + height).max() - unloaded - height
+    apart = blocks.reach(columns.x, columns.y) - unloaded - height
     thinner = unloaded * (1 - stretch)
     shorter = travel - apart - thinner
     pressure = blocks.law.strain_adjusted_modulus(stretch - 1) * (1 - stretch)
