@@ -74,12 +74,12 @@ def computed(result, sample=None, loaded=None, **options):
         "sample_friction": friction.sample,
         "element_size": 0.1875,
         "input_errors": None,
+        "initial_thickness": result.scene.layer.thickness,
     }
     return sample_stress(
         measured(result) if loaded is None else loaded,
-        result.scene.layer.thickness,
-        result.scene.layer.material,
-        sample or known(result),
+        material=result.scene.layer.material,
+        sample=sample or known(result),
         **(arguments | options),
     )
 
@@ -256,6 +256,23 @@ def test_a_relief_may_be_on_descending_coordinates(uneven):
         for each in (relief, relief[::-1, ::-1].T)
     )
     np.testing.assert_array_equal(up, down)
+
+
+def test_noise_of_the_unloaded_surfaces_is_not_where_they_touch_first():
+    """Of many pixels the one that is off most would decide how far the sample was pressed."""
+    result = run_experiment(scene())
+    x = np.linspace(0, 3, 121)
+    noise = 5e-3 * np.random.default_rng(3).normal(size=(2, x.size, x.size))
+    unloaded, relief = (xr.DataArray(part, {"y": x, "x": x}, ("y", "x")) for part in noise)
+    still = known(result, relief=xr.zeros_like(relief))
+    modulus = [
+        computed(result, sample, initial_thickness=0.5 + factor * unloaded, element_size=0.3).maps[
+            "sample_youngs_modulus"
+        ]
+        for sample, factor in ((still, 0), (still, 1), (known(result, relief=relief), 0))
+    ]
+    exact, *others = (float(each.median()) for each in modulus)
+    assert others == pytest.approx([exact, exact], rel=0.06)
 
 
 def test_a_plate_that_moves_less_than_the_layer_gives_way_is_refused(uneven):

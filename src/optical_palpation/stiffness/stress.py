@@ -33,7 +33,7 @@ from optical_palpation.stiffness.errors import propagated
 from optical_palpation.stiffness.forward import Columns, Model, Sought
 from optical_palpation.stiffness.inversion import Estimate, invert
 from optical_palpation.stiffness.maps import as_rigid, sample_result
-from optical_palpation.stiffness.measurement import ThicknessSurface
+from optical_palpation.stiffness.measurement import ThicknessSurface, without_noise
 from optical_palpation.stiffness.sample import Sample, as_loads, check_sample
 from optical_palpation.thickness.cleaning import clean_thickness
 from optical_palpation.thickness.frames import layer_extent_of, on_grid, smooth_map
@@ -136,13 +136,15 @@ def sample_stress(
     check_elements(element_size, (x1 - x0, y1 - y0), thickness, "the thickness of the layer")
     blocks = Blocks(
         extent=extent,
-        thickness=smooth_map(initial),
+        thickness=smooth_map(without_noise(initial, element_size)),
         law=material,
         sample_size=sample.size or (x1 - x0, y1 - y0),
         sample_thickness=sample.thickness,
         sample_law=sample.law or NeoHookean(c10=0.5 * material.shear_modulus),
         relief=(
-            smooth_map(on_grid(sample.relief)) if isinstance(sample.relief, xr.DataArray) else _flat
+            smooth_map(without_noise(on_grid(sample.relief), element_size))
+            if isinstance(sample.relief, xr.DataArray)
+            else _flat
         ),
         friction=(window_friction, sample_friction, sample.plate_friction),
         travel=0.0 if sample.travels is None else sample.travels[-1],
