@@ -168,6 +168,20 @@ def test_total_force_in_place_of_the_travel(columns, found):
         computed(columns, known(columns, total_force=2 * force), element_size=0.3)
 
 
+@pytest.mark.parametrize("compression", [0.15, 0.5])
+def test_a_total_force_is_met_by_the_travel_that_was(compression):
+    """Many nodes do not outvote one force, nor is it met by a travel that is far too large."""
+    column = {"kind": "box", "factor": 3.0, "x": [1.0, 3.0]}
+    of = scene(*[column] * (compression < 0.3), compression=compression)
+    of = of.model_copy(update={"mesh": of.mesh.model_copy(update={"element_size": 0.2})})
+    truth = run_experiment(of)
+    force = truth.maps.attrs["window_force_mN"]
+    maps = computed(truth, known(truth, compression=None, total_force=force)).maps
+    assert maps.attrs["window_force_mN"] == pytest.approx(force, rel=0.02)
+    assert maps.attrs["compression_mm"] == pytest.approx(compression, rel=0.05)
+    assert error(maps, truth.maps) < 0.05
+
+
 @pytest.fixture(scope="module")
 def pressed_twice():
     """Two loads of a sample of unknown relief, of which one half is three times as stiff."""

@@ -53,8 +53,10 @@ _FAR_OFF = 0.1
 _RIGID = 0.03
 #: By so many standard deviations of its surface a layer is thinner where something touches it.
 _TOUCHING = 5.0
-#: Share of the sample's thickness that the travel has more than the layer takes, to begin with.
-_GUESS = 0.15
+#: Share of the sample's thickness that the travel has more than the layer takes, to begin with
+#: where a force is given. It is less than it mostly has: with the travel the force that goes with
+#: the measured thickness falls at first, but rises again with one that is far too large.
+_GUESS = 0.05
 #: Error of a total force that is only checked.
 _FORCE_READING = 0.05
 
