@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -148,13 +150,82 @@ def test_amplitude_intensity_and_decibels_give_the_same_layer():
     assert rms((maps[3] - maps[0]) / SPACING[0]) < 0.3
 
 
-def test_padding_without_data_is_no_layer():
+@pytest.mark.parametrize(("above", "below"), [(60, 0), (0, 300)])
+def test_padding_without_data_is_no_layer(above, below):
     stack = np.stack(list(volume()), axis=1)
-    padded = np.concatenate([np.zeros((60, *SHAPE), np.float32), stack])
+    padded = np.pad(stack, [(above, below), (0, 0), (0, 0)])
     layer = find_layer(padded, spacing=SPACING, scale="linear")
     error = (layer.thickness.values - SMOOTH) / SPACING[0]
     assert rms(error) < 0.7
-    assert float(layer.window_depth.min()) > 60 * SPACING[0]
+    assert abs(error.mean()) < 0.2  # an amplitude is still known to be one
+    assert float(layer.window_depth.min()) > above * SPACING[0]
+
+
+def test_eight_bits_are_an_amplitude_as_well():
+    stack = np.stack(list(volume()), axis=1)
+    stored = (255 * stack / stack.max()).astype(np.uint8)  # of noise three steps are left
+    layer = find_layer(stored, spacing=SPACING, scale="linear")
+    assert abs(np.mean(layer.thickness.values - SMOOTH)) < 0.2 * SPACING[0]
+
+
+@pytest.mark.parametrize("gain", [2.0**-60, 2.0**40])
+def test_the_unit_of_the_signal_does_not_matter(gain):
+    stack = np.stack(list(volume()), axis=1)
+    plain = find_layer(stack, spacing=SPACING, scale="linear")
+    assert find_layer(stack * np.float32(gain), spacing=SPACING, scale="linear").equals(plain)
+
+
+def test_resolution_is_that_of_a_sample_at_the_end_of_the_volume_too():
+    """A layer that fills the depth: the speckle lies in the last pixels, the tile's remainder."""
+    flat = np.full(SHAPE, 0.35)
+    of = SyntheticOCT(flat, SPACING, 190, tilt=(0.02, 0.03))
+    layer, error = found(of)
+    assert layer.axial_resolution_mm == pytest.approx(of.optics.axial_resolution, rel=0.15)
+    assert abs(error.mean()) < 0.3
+
+
+@pytest.mark.parametrize("nothing", [None, 0.0, np.nan])
+def test_where_the_sample_lies_beyond_the_data_it_is_not_seen(nothing):
+    thickness = 0.35 + 0.1 * np.sin(2 * np.pi * X / 0.9)
+    of = SyntheticOCT(thickness, SPACING, 300, tilt=(0.02, 0.03))
+    stack = np.stack(list(of), axis=1)
+    if nothing is None:
+        stack = stack[:200].copy()
+    else:
+        stack[200:] = nothing
+    layer = find_layer(stack, spacing=SPACING, scale="linear")
+    beyond = (of.window_map + thickness) / SPACING[0] > 200
+    assert layer.sample_filled.values[beyond].all()
+    error = np.abs(layer.thickness.values - thickness) / SPACING[0]
+    assert error[~layer.filled.values].max() < 3.0
+    assert 0.1 < layer.filled_share < 0.4
+
+
+def test_ascans_without_data_are_filled():
+    stack = np.stack(list(volume()), axis=1)
+    stack[:, :, :24] = np.nan
+    stack[:, 20:24, :] = 0.0
+    layer = find_layer(stack, spacing=SPACING, scale="linear")
+    assert layer.window_filled.values[:, :24].all()
+    assert layer.sample_filled.values[20:24].all()
+    assert not layer.filled.values[26:, 26:].any()
+    error = np.abs(layer.thickness.values - SMOOTH) / SPACING[0]
+    assert error[~layer.filled.values].max() < 3.0
+
+
+def test_no_sample_side_is_found_within_the_resolution_of_the_window():
+    thin = np.full(SHAPE, 0.025)
+    with pytest.raises(InputError, match="sample side of the layer is nowhere"):
+        found(volume(thin))
+    upside_down = np.stack(list(volume()), axis=1)[::-1].copy()
+    for edge in ("rise", "fall"):
+        with pytest.raises(InputError, match="sample side of the layer is nowhere"):
+            find_layer(upside_down, spacing=SPACING, scale="linear", sample=edge)
+    dip = 0.25 - 0.24 * np.exp(-((X - 0.48) ** 2 + (Y - 0.32) ** 2) / 0.15**2)
+    layer, error = found(volume(dip))
+    assert float(layer.thickness.min()) > 0
+    assert layer.sample_filled.values[dip < 0.02].all()
+    assert np.abs(error[~(layer.filled | layer.specular).values]).max() < 3.0
 
 
 def test_single_bscan_and_known_window():
@@ -303,6 +374,43 @@ def test_a_correction_outside_the_volume_leaves_the_finder_as_it_was():
     assert finder.find().identical(before)
 
 
+def with_dim_cap() -> np.ndarray:
+    """A sample whose first 60 um scatter a hundred times less than what lies below."""
+    dim, bright = volume(snr_db=8.0), volume(SMOOTH + 0.06, snr_db=28.0, window_db=None, seed=1)
+    return np.hypot(*(np.stack(list(of), axis=1) for of in (dim, bright)))
+
+
+def test_what_else_may_be_a_boundary_is_told():
+    stack = np.stack(list(volume()), axis=1)
+    line = stack.copy()
+    line[19:22] = stack.max()  # of the instrument, at a fixed depth
+    for data, search, texts in (
+        (line, {}, ["line nearly as bright as the window's lies about 0.09"]),
+        (line, {"window_range": (0.1, 0.2)}, []),
+        (with_dim_cap(), {}, ["scattering from about 0.06"]),
+        (stack, {}, []),
+    ):
+        layer = find_layer(data, spacing=SPACING, scale="linear", **search)
+        doubts = json.loads(layer.doubts)
+        assert len(doubts) == len(texts)
+        assert all(text in doubt for text, doubt in zip(texts, doubts, strict=True))
+        assert (rms(layer.thickness.values - SMOOTH) > 5 * SPACING[0]) == bool(texts)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"layer_db": -12.0},  # haze in the layer
+        {"ghosts": ((0.15, 5.0), (0.2, -5.0)), "saturated": 0.03, "interface_db": 0.0},
+        {"gap": np.where(X > 0.7, 0.06, 0.0), "interface_db": 5.0},
+        {"snr_db": 3.0, "window_db": 40.0},
+        {"thickness": 0.35 + 0.1 * np.sin(2 * np.pi * X / 0.6)},  # a slope of 1
+    ],
+)
+def test_there_is_no_doubt_about_a_layer_that_is_found(other):
+    assert json.loads(found(volume(**other))[0].doubts) == []
+
+
 def test_noise_holds_no_layer():
     noise = np.abs(np.random.default_rng(1).standard_normal((200, 16, 32))).astype(np.float32)
     with pytest.raises(InputError, match="nowhere to be seen"):
@@ -381,6 +489,8 @@ def test_maps_are_registered_to_each_other():
     reference, moving = features(0.0, 0.0), features(0.03, -0.052)
     shift = lateral_shift(reference, moving)
     assert shift == pytest.approx((0.03, -0.052), abs=0.01)
+    elsewhere = moving.assign_coords(y=moving.y + 0.2, x=moving.x - 0.1)
+    assert lateral_shift(reference, elsewhere) == pytest.approx((0.23, -0.152), abs=0.01)
     inner = (slice(10, -10), slice(10, -10))
     plane = 5.0 * 0.052  # the tilt travels along and is not a feature
     back = shift_map(moving, shift).values[inner]

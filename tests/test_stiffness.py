@@ -13,7 +13,7 @@ from scipy.sparse.linalg import spsolve
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.experiment import Scene, run_experiment
 from optical_palpation.mechanics.iteration import TOLERANCES, relaxed
-from optical_palpation.mechanics.stack.assembly import Blocks, Mesh
+from optical_palpation.mechanics.stack.assembly import Blocks, Mesh, assemble
 from optical_palpation.mechanics.stack.cascade import solve
 from optical_palpation.mechanics.stack.newton import balance, equilibrate, make_solver
 from optical_palpation.mechanics.stack.problem import INTERFACE, SAMPLE
@@ -74,12 +74,12 @@ def computed(result, sample=None, loaded=None, **options):
         "sample_friction": friction.sample,
         "element_size": 0.1875,
         "input_errors": None,
+        "initial_thickness": result.scene.layer.thickness,
     }
     return sample_stress(
         measured(result) if loaded is None else loaded,
-        result.scene.layer.thickness,
-        result.scene.layer.material,
-        sample or known(result),
+        material=result.scene.layer.material,
+        sample=sample or known(result),
         **(arguments | options),
     )
 
@@ -166,6 +166,20 @@ def test_total_force_in_place_of_the_travel(columns, found):
     assert error(maps, columns.maps) < 0.06
     with pytest.raises(ConvergenceError, match="contradict each other"):
         computed(columns, known(columns, total_force=2 * force), element_size=0.3)
+
+
+@pytest.mark.parametrize("compression", [0.15, 0.5])
+def test_a_total_force_is_met_by_the_travel_that_was(compression):
+    """Many nodes do not outvote one force, nor is it met by a travel that is far too large."""
+    column = {"kind": "box", "factor": 3.0, "x": [1.0, 3.0]}
+    of = scene(*[column] * (compression < 0.3), compression=compression)
+    of = of.model_copy(update={"mesh": of.mesh.model_copy(update={"element_size": 0.2})})
+    truth = run_experiment(of)
+    force = truth.maps.attrs["window_force_mN"]
+    maps = computed(truth, known(truth, compression=None, total_force=force)).maps
+    assert maps.attrs["window_force_mN"] == pytest.approx(force, rel=0.02)
+    assert maps.attrs["compression_mm"] == pytest.approx(compression, rel=0.05)
+    assert error(maps, truth.maps) < 0.05
 
 
 @pytest.fixture(scope="module")
@@ -256,6 +270,23 @@ def test_a_relief_may_be_on_descending_coordinates(uneven):
         for each in (relief, relief[::-1, ::-1].T)
     )
     np.testing.assert_array_equal(up, down)
+
+
+def test_noise_of_the_unloaded_surfaces_is_not_where_they_touch_first():
+    """Of many pixels the one that is off most would decide how far the sample was pressed."""
+    result = run_experiment(scene())
+    x = np.linspace(0, 3, 121)
+    noise = 5e-3 * np.random.default_rng(3).normal(size=(2, x.size, x.size))
+    unloaded, relief = (xr.DataArray(part, {"y": x, "x": x}, ("y", "x")) for part in noise)
+    still = known(result, relief=xr.zeros_like(relief))
+    modulus = [
+        computed(result, sample, initial_thickness=0.5 + factor * unloaded, element_size=0.3).maps[
+            "sample_youngs_modulus"
+        ]
+        for sample, factor in ((still, 0), (still, 1), (known(result, relief=relief), 0))
+    ]
+    exact, *others = (float(each.median()) for each in modulus)
+    assert others == pytest.approx([exact, exact], rel=0.06)
 
 
 def test_a_plate_that_moves_less_than_the_layer_gives_way_is_refused(uneven):
@@ -598,6 +629,17 @@ def _blocks(of):
         friction=(of.friction.window, of.friction.sample, of.friction.plate),
         travel=of.compression,
     )
+
+
+def test_what_stands_out_beside_the_layer_is_not_where_they_touch_first():
+    """The travel of the plate counts from there."""
+    blocks = replace(_blocks(scene()), sample_size=(4.0, 4.0))
+    here, outside = (
+        assemble(replace(blocks, relief=lambda x, _, at=at: 0.1 * (x > at)), Mesh(0.375))
+        for at in (1.5, 3.1)
+    )
+    assert here.plate == pytest.approx(1.6)
+    assert outside.plate == pytest.approx(1.5)
 
 
 def test_surface_follows_what_elements_can_and_leaves_the_noise():

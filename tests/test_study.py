@@ -304,6 +304,21 @@ def test_the_unloaded_map_is_registered_to_the_loaded_one(here, run):
         assert thickness["initial_filled"].values[:, 0].all()  # beyond the unloaded map
 
 
+def test_what_is_interpolated_from_a_filled_pixel_is_filled(here, run):
+    """The unloaded map has pixels four times as far apart, one of them missing."""
+    before, after = np.full((11, 11), 0.5), np.full((41, 41), 0.4)
+    before[5, 5] = np.nan
+    for name, values, step in (("before", before, 0.2), ("after", after, 0.05)):
+        write_thickness_map(thickness_map(values, pixel_spacing=(step, step)), f"{name}.nc")
+    inputs = '[unloaded]\nmap = "before.nc"\n[loaded]\nmap = "after.nc"\n'
+    make_study(here, inputs + STUDY[STUDY.index("[material]") :])
+    assert run("run", "study.toml", "--thickness-only")[0] == 0
+    with xr.open_dataset("study-results/thickness.nc") as thickness:
+        expected = np.zeros((41, 41), bool)
+        expected[17:24, 17:24] = True
+        np.testing.assert_array_equal(thickness["initial_filled"].values, expected)
+
+
 def test_corrections_reach_the_thickness(here, run):
     (here / "fix.txt").write_text("exclude sample 0.6 0.9 0.3 0.6\n")
     make_study(here, STUDY.replace("[loaded]", '[loaded]\ncorrections = "fix.txt"'))
@@ -438,3 +453,20 @@ def test_thickness_refuses_what_it_cannot_use_and_writes_nothing(here, run, argu
     assert (status, out) == (2, "")
     assert words in " ".join(err.replace("│", " ").split())
     assert {path.name for path in here.iterdir()} == before
+
+
+def test_what_else_may_be_a_boundary_is_a_warning(here, run):
+    """A line of the instrument beside the window's."""
+    unloaded = np.load("unloaded.npy")
+    unloaded[:, 100:103] += 0.3 * unloaded.max()
+    (here / "unloaded.npy").unlink()  # it is shared with other tests
+    np.save("unloaded.npy", unloaded)
+    status, _, err = run("thickness", "unloaded.npy", *READING, "--output", "unloaded.nc")
+    assert status == 0
+    assert "warning: a line nearly as bright as the window's" in err
+    for options in (["--thickness-only"], []):
+        status, out, _ = run("run", "study.toml", *options)
+        assert status == 0
+        assert "WARNING: unloaded volume: a line nearly as bright as the window's" in out
+        assert "loaded volume: a line" not in out.replace("unloaded", "")
+        assert "of the loaded thickness could not be measured" in out

@@ -132,17 +132,16 @@ def _run(asked: Study, thickness_only: bool, quiet: bool) -> None:
         done = study.run_study(asked, thickness_only=thickness_only, progress=progress)
     if quiet:
         return
+    warnings = done.warnings()
     if not thickness_only:
-        result = done.stress()
-        warnings = study.warnings_about(result)
-        for line in present.summarise(result).splitlines():
+        for line in present.summarise(done.stress()).splitlines():
             # what is a warning in a study is told once
             if not any(text.startswith(line.removeprefix("WARNING: ")) for text in warnings):
                 print(line)
-        for warning in warnings:
-            if warning in told:
-                continue
-            print(f"WARNING: {warning}")
+    for warning in warnings:
+        if warning in told:
+            continue
+        print(f"WARNING: {warning}")
     for name in done.files:
         print(f"{done.folder / name}{' (from an earlier run)' if name in done.earlier else ''}")
 

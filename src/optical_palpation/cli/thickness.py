@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -127,6 +128,8 @@ def thickness(
             "look at the picture (--plot), and check axes, spacing and how the boundaries look",
             err=True,
         )
+    for doubt in json.loads(found.attrs["doubts"]):
+        typer.echo(f"warning: {doubt}", err=True)
     if quiet:
         return
     measured = found["thickness"].values[~found["filled"].values]

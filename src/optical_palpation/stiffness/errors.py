@@ -244,6 +244,8 @@ def _of_mesh(
         pressure.append(pressed.pressure - carried(own.pressure, own.slaves, pressed.slaves))
     answer = -estimate.gain @ np.ravel(thickness) / estimate.refinement
     force = np.array([p.force for p in estimate.pressed]) - propagation.force
+    if estimate.order.travels:
+        answer -= estimate.gain_by_force @ force / estimate.refinement
     effect = propagation.effect(answer, 0.0, force / estimate.refinement)
     squares = []
     for pressed, own, change, by_answer in zip(

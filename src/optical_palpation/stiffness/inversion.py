@@ -37,8 +37,9 @@ from optical_palpation.stiffness.measurement import ThicknessSurface
 
 Array = NDArray[np.float64]
 
-#: Steps on the coarse mesh and on the finest one at most.
+#: Steps on the coarse mesh and on the finest one at most; more on the coarse one towards a travel.
 _COARSE_STEPS, _FINE_STEPS = 3, 4
+_TRAVELLING_STEPS = 8
 #: What the coarse mesh may leave, as a share of the indentation: more than that is its own error.
 _COARSE_ERROR = 0.02
 #: Largest change of a logarithm in a step.
@@ -216,7 +217,7 @@ class _System:
 
     ``jacobian`` (loads x nodes, sought) of the misfit, ``weight`` of the nodes; ``by_force``
     (loads, sought) are the derivatives of the total forces and ``off`` what these are off by, both
-    over their tolerance; no loads where travels are given.
+    times their weight; no loads where travels are given.
     """
 
     jacobian: Array
@@ -263,7 +264,8 @@ class _Search:
     def on_coarse_mesh(self, row: Array) -> Array:
         """Steps on the coarse mesh, down to about the errors of that."""
         before = step = None
-        for n in range(_COARSE_STEPS):
+        best = np.inf, row
+        for n in range(_TRAVELLING_STEPS if self.order.travels else _COARSE_STEPS):
             pressed, row = self._pressed(self.coarse, before, step, row)
             misfit = self._misfit(pressed)
             indentation = np.stack([self.coarse.layer.thickness - p.surface[2] for p in pressed])
@@ -272,14 +274,18 @@ class _Search:
             weight = self._weight(pressed, tolerance)
             left = _left(weight * misfit, weight)
             self.solutions.append((pressed[-1].stack.n_elements, left))
-            if n > 0 and left <= 1.0:
-                break
+            off = _rms(self._off(pressed))
+            if n > 0 and max(left, off) <= 1.0:
+                return row
+            if np.hypot(left, off) < best[0]:
+                best = float(np.hypot(left, off)), row
             sensitivities = self._sensitivities(pressed)
             jacobian = np.concatenate([s.thickness for s in sensitivities])
             system = self._system(jacobian, sensitivities, misfit, weight, pressed)
             step, _, _ = self._step(system, row)
             before, row = row, row + step
-        return row
+        # A force that no travel makes goes with steps to and fro.
+        return best[1] if self.order.travels else row
 
     def on_fine_mesh(self, row: Array) -> Estimate:
         """Steps for the misfit of the fine mesh, with the sensitivity of the coarse one.
@@ -303,14 +309,14 @@ class _Search:
             weight = self._weight(pressed, tolerance)
             left = _left(weight * misfit, weight)
             self.solutions.append((pressed[-1].stack.n_elements, left))
-            gained = best is None or left < _NO_GAIN * best[0]
-            if best is None or left < best[0]:
-                best = left, row, pressed, misfit
-            if not gained:
+            off = _rms(self._off(pressed))
+            whole = float(np.hypot(left, off))
+            gained = best is None or whole < _NO_GAIN * best[0]
+            if best is None or whole < best[0]:
+                best = whole, row, pressed, misfit
+            if not gained or max(left, off) <= 1.0:
                 break
             system = self._system(jacobian, sensitivities, misfit, weight, pressed)
-            if left <= 1.0 and (np.abs(system.off) <= 1.0).all():
-                break
             step, _, _ = self._step(system, row, _UNKNOWN * left)
             change = step[: self.order.of_travels.start].copy()
             change[self.order.of_relief] /= self.thickness
@@ -331,7 +337,7 @@ class _Search:
             tolerance=tolerance,
             measured=weight > 0,
             gain=covariance @ (jacobian * weight.reshape(-1, 1) ** 2).T,
-            gain_by_force=covariance @ system.by_force.T / (_FORCE * self.forces),
+            gain_by_force=covariance @ system.by_force.T * self._per_force(weight),
             covariance=covariance,
             sensitivities=sensitivities,
             refinement=self.refinement,
@@ -396,10 +402,23 @@ class _Search:
         if not self.forces.size:
             nothing = np.zeros((0, self.order.size))
             return _System(jacobian, misfit, weight, nothing, np.zeros(0))
-        tolerance = _FORCE * self.forces
-        off = (np.array([p.force for p in pressed]) - self.forces) / tolerance
-        by_force = np.stack([s.force for s in sensitivities]) / tolerance[:, None]
+        per_force = self._per_force(weight)
+        off = (np.array([p.force for p in pressed]) - self.forces) * per_force
+        by_force = np.stack([s.force for s in sensitivities]) * per_force[:, None]
         return _System(jacobian, misfit, weight, by_force, off)
+
+    def _off(self, pressed: list[Pressed]) -> Array:
+        """What the total forces are off by, over their tolerance; none where travels are given."""
+        if not self.forces.size:
+            return np.zeros(0)
+        return (np.array([p.force for p in pressed]) / self.forces - 1) / _FORCE
+
+    def _per_force(self, weight: Array) -> Array:
+        """Weight of the forces, 1/mN: each counts as much as the thickness at all nodes.
+
+        The error of the mesh is alike at many of them, and they would outvote it.
+        """
+        return np.sqrt(np.count_nonzero(weight)) / (_FORCE * self.forces)
 
     def _normal(self, system: _System, weighted: Array) -> Array:
         """Return the matrix of the normal equations without smoothing.
@@ -496,7 +515,7 @@ def first(holds: Callable[[int], bool], last: int, guess: int) -> int:
 
 
 def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 def _left(weighted: Array, weight: Array) -> float:

@@ -123,6 +123,19 @@ class ThicknessSurface:
         return row, column
 
 
+def without_noise(field: xr.DataArray, spacing: float) -> xr.DataArray:
+    """Return a map on ``(y, x)`` as elements ``spacing`` apart, mm, can follow it.
+
+    Where layer and sample touch first their thickest place decides, and of noise that is the
+    largest one. A map that has less than two pixels for each element is left as it is.
+    """
+    if max(float(np.diff(field[axis]).max()) for axis in "yx") > 0.5 * spacing:
+        return field
+    surface = ThicknessSurface.fitted(field, spacing)
+    at_y, at_x = (_basis(*along, 0) for along in zip(surface.axes, surface.knots, strict=True))
+    return field.copy(data=at_y @ surface.coefficients @ at_x.T)
+
+
 def _knots(axis: Array, spacing: float) -> Array:
     count = max(4, round((axis[-1] - axis[0]) / spacing))
     inner = np.linspace(axis[0], axis[-1], count + 1)

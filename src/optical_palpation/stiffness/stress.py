@@ -33,7 +33,7 @@ from optical_palpation.stiffness.errors import propagated
 from optical_palpation.stiffness.forward import Columns, Model, Sought, meshes_of
 from optical_palpation.stiffness.inversion import Estimate, invert
 from optical_palpation.stiffness.maps import as_rigid, sample_result
-from optical_palpation.stiffness.measurement import ThicknessSurface
+from optical_palpation.stiffness.measurement import ThicknessSurface, without_noise
 from optical_palpation.stiffness.sample import Sample, as_loads, check_sample
 from optical_palpation.thickness.cleaning import clean_thickness
 from optical_palpation.thickness.frames import layer_extent_of, on_grid, smooth_map
@@ -53,8 +53,10 @@ _FAR_OFF = 0.1
 _RIGID = 0.03
 #: By so many standard deviations of its surface a layer is thinner where something touches it.
 _TOUCHING = 5.0
-#: Share of the sample's thickness that the travel has more than the layer takes, to begin with.
-_GUESS = 0.15
+#: Share of the sample's thickness that the travel has more than the layer takes, to begin with
+#: where a force is given. It is less than it mostly has: with the travel the force that goes with
+#: the measured thickness falls at first, but rises again with one that is far too large.
+_GUESS = 0.05
 #: Error of a total force that is only checked.
 _FORCE_READING = 0.05
 
@@ -136,13 +138,15 @@ def sample_stress(
     check_elements(element_size, (x1 - x0, y1 - y0), thickness, "the thickness of the layer")
     blocks = Blocks(
         extent=extent,
-        thickness=smooth_map(initial),
+        thickness=smooth_map(without_noise(initial, element_size)),
         law=material,
         sample_size=sample.size or (x1 - x0, y1 - y0),
         sample_thickness=sample.thickness,
         sample_law=sample.law or NeoHookean(c10=0.5 * material.shear_modulus),
         relief=(
-            smooth_map(on_grid(sample.relief)) if isinstance(sample.relief, xr.DataArray) else _flat
+            smooth_map(without_noise(on_grid(sample.relief), element_size))
+            if isinstance(sample.relief, xr.DataArray)
+            else _flat
         ),
         friction=(window_friction, sample_friction, sample.plate_friction),
         travel=0.0 if sample.travels is None else sample.travels[-1],
@@ -309,7 +313,7 @@ def _springs(
     inside = measured.covers(x, y)
     loaded = measured(x.ravel(), y.ravel()).reshape(x.shape)
     stretch = np.clip(np.where(inside, loaded, np.nan) / unloaded, 0.05, 1.0)
-    apart = (unloaded + height).max() - unloaded - height
+    apart = blocks.reach(columns.x, columns.y) - unloaded - height
     thinner = unloaded * (1 - stretch)
     shorter = travel - apart - thinner
     pressure = blocks.law.strain_adjusted_modulus(stretch - 1) * (1 - stretch)

@@ -71,14 +71,19 @@ def thickness_of(study: Study, found: Mapping[str, xr.Dataset]) -> xr.Dataset:
             attrs["registration_shift_mm"] = list(shift)  # y, x
         whole = clean_thickness(unloaded)
         initial = whole["thickness"]
-        made_up = whole["filled"].reindex(here, method="nearest")
+        # Between pixels of another grid the thickness is interpolated, and what was filled counts.
+        within = {a: at.clip(whole[a].min(), whole[a].max()) for a, at in here.items()}
+        made_up = whole["filled"].astype(float).interp(within).assign_coords(here) > 1e-6
+        made_up.attrs = whole["filled"].attrs
     matched = match_initial_thickness(
         initial, cleaned["thickness"], glued=study.friction.sample_glued
     )
     own = {key: v for key, v in matched.attrs.items() if not key.startswith("source")}
     matched.attrs = own | source  # and not the file of the loaded thickness
-    if isinstance(study.loaded, VolumeInput):
-        attrs["specular_share"] = found["loaded"].attrs["specular_share"]
+    for side in by_side(study):
+        of = "" if side == "loaded" else "initial_"
+        attrs[f"{of}specular_share"] = found[side].attrs["specular_share"]
+        attrs[f"{of}doubts"] = found[side].attrs["doubts"]
     result = xr.Dataset(
         {
             "loaded_thickness": cleaned["thickness"],

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import xarray as xr
+
 from optical_palpation.errors import ConvergenceError, InputError, MaterialError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.study.compute import algebraic_of, thickness_of
@@ -22,7 +24,13 @@ from optical_palpation.study.inputs import (
 from optical_palpation.study.plausible import check_study
 from optical_palpation.study.record import Progress, check_folder, make_all
 from optical_palpation.study.schema import MapInput, Study
-from optical_palpation.study.stages import STRESS, THICKNESS, Stages
+from optical_palpation.study.stages import (
+    STRESS,
+    THICKNESS,
+    Stages,
+    warnings_about,
+    warnings_about_thickness,
+)
 from optical_palpation.thickness import read_thickness_map
 
 
@@ -54,6 +62,13 @@ class StudyResult:
             If there is no such file, or it is damaged.
         """
         return self._stages.stress(self.folder / STRESS)
+
+    def warnings(self) -> list[str]:
+        """Say in plain words what casts doubt on the stress, or on the thickness if that is all."""
+        if STRESS in self.files:
+            return warnings_about(self.stress())
+        thickness = xr.load_dataset(self.folder / THICKNESS, engine="h5netcdf")
+        return warnings_about_thickness(thickness.attrs)
 
 
 def describe_inputs(study: Study) -> str:

@@ -208,25 +208,11 @@ class Stages:
 def warnings_about(result: StressResult) -> list[str]:
     """Say in plain words what casts doubt on a result."""
     attrs = result.maps.attrs
-    said = [*present.of_solution(attrs), *json.loads(attrs.get("unusual", "[]"))]
-    for key, which in (("filled_share", "loaded"), ("initial_filled_share", "unloaded")):
-        if (share := attrs.get(key, 0.0)) > _NOTABLE_FILLED:
-            said.append(
-                f"{present.percent(share)} of the {which} thickness could not be measured and was "
-                "interpolated: look at the boundaries before you trust the stress there"
-            )
-    if (share := attrs.get("specular_share", 0.0)) > 0:
-        said.append(
-            f"{present.percent(share)} of the loaded volume is outshone by reflections, which may "
-            "draw the boundary to themselves: look at the pixels marked as specular in "
-            "boundaries-loaded.nc"
-        )
-    if "registration_shift_mm" in attrs:
-        y, x = np.ravel(attrs["registration_shift_mm"])
-        said.append(
-            f"the unloaded map lay {x:+.3g} mm in x and {y:+.3g} mm in y off the loaded one and "
-            "was shifted back by that"
-        )
+    said = [
+        *present.of_solution(attrs),
+        *json.loads(attrs.get("unusual", "[]")),
+        *warnings_about_thickness(attrs),
+    ]
     if sides := present.edge_influence(attrs):
         said.append(
             f"sides of the layer: {sides}. See to it that the layer ends where the study says, at "
@@ -236,5 +222,30 @@ def warnings_about(result: StressResult) -> list[str]:
         said.append(
             f"the forces at window and sample differ by {present.percent(imbalance)}: the solution "
             "is not in equilibrium"
+        )
+    return said
+
+
+def warnings_about_thickness(attrs: Mapping[Any, Any]) -> list[str]:
+    """Say in plain words what casts doubt on the thickness, by the attributes of its maps."""
+    said = []
+    for of, which in (("", "loaded"), ("initial_", "unloaded")):
+        if (share := attrs.get(f"{of}filled_share", 0.0)) > _NOTABLE_FILLED:
+            said.append(
+                f"{present.percent(share)} of the {which} thickness could not be measured and was "
+                "interpolated: look at the boundaries before you trust what is computed there"
+            )
+        if (share := attrs.get(f"{of}specular_share", 0.0)) > 0:
+            said.append(
+                f"{present.percent(share)} of the {which} volume is outshone by reflections, which "
+                "may draw the boundary to themselves: look at the pixels marked as specular in "
+                f"boundaries-{which}.nc"
+            )
+        said += [f"{which} volume: {text}" for text in json.loads(attrs.get(f"{of}doubts", "[]"))]
+    if "registration_shift_mm" in attrs:
+        y, x = np.ravel(attrs["registration_shift_mm"])
+        said.append(
+            f"the unloaded map lay {x:+.3g} mm in x and {y:+.3g} mm in y off the loaded one and "
+            "was shifted back by that"
         )
     return said

@@ -1,5 +1,6 @@
 """The layer's two boundaries in an OCT volume, and its thickness between them."""
 
+import json
 import mmap
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,11 +20,14 @@ from .cleaning import _fill
 from .corrections import Corrections, read_corrections
 from .intensity import BScans, Read, Scale, intensity_reader, point_spread
 from .refinement import refine, take_band
+from .rivals import rival_line, rival_rise
 from .tracking import Edge, Reduced, reduce_volume, track
 
 Method = Literal["surface", "canny"]
 Range = tuple[float, float]
 Progress = Callable[[float], None]
+#: What a boundary looks like, about where it is, and what it lies below: `[y, x]`, pixels.
+Estimate = tuple[Edge, NDArray, NDArray]
 
 GUARD = 6.0  # axial resolutions (standard deviations) within which two boundaries are one
 BAND = 24.0  # ... around a tracked surface that are read again for its refinement
@@ -143,7 +147,8 @@ def find_layer(
         outshines the sample, 0 where interpolated), ``window_filled`` and ``sample_filled`` (True
         where the boundary was not seen, or was an outlier, and was interpolated), ``filled`` (True
         where either of them was) and ``specular`` (True where there is such a reflection, which may
-        draw the boundary to itself).
+        draw the boundary to itself). The attribute ``doubts`` is a list of texts (JSON): what else
+        in the volume may be a boundary as well.
 
     Raises
     ------
@@ -221,7 +226,7 @@ class LayerFinder:
         self._ranges = {"window": window_range, "sample": sample_range}
         self._located: dict[str, _Located] = {}
         self._parts: dict[str, tuple[NDArray, NDArray, NDArray, NDArray]] = {}
-        self._finished: dict[str, tuple[NDArray, NDArray]] = {}
+        self._finished: dict[str, tuple[NDArray, ...]] = {}
 
     def find(
         self,
@@ -253,23 +258,26 @@ class LayerFinder:
         ny, nx = scan.shape[1:]
         whole = (0.0, scan.shape[0] - 1.0)
         first, last = scan.depths(self._ranges["window"], whole)
-        found: dict[str, tuple[Edge, NDArray]] = {}
+        found: dict[str, Estimate] = {}
         if isinstance(window, str):
             ends = np.full((ny, nx), first), np.full((ny, nx), last)
             top = self._locate("window", window, *ends, fixes)
-            found["window"] = window, top
+            found["window"] = window, top, np.zeros((ny, nx))
         else:
             top = np.full((ny, nx), (float(window) - scan.origin[0]) / scan.spacing[0])
         first, last = scan.depths(self._ranges["sample"], whole)
-        lowest = np.maximum(first, top + GUARD * scan.sigma)
-        bottom = self._locate("sample", self._sample, lowest, np.full((ny, nx), last), fixes)
-        found["sample"] = self._sample, bottom
+        guarded = np.maximum(top + GUARD * scan.sigma, 0.0)
+        ends = np.maximum(first, guarded), np.full((ny, nx), last)
+        bottom = self._locate("sample", self._sample, *ends, fixes)
+        found["sample"] = self._sample, bottom, guarded
         tell(0.1)
         nowhere = np.zeros((ny, nx), bool)
         parts = {"window": (top, np.ones((ny, nx)), nowhere, nowhere)}
         parts |= self._finish(found, fixes, lambda share: tell(0.1 + 0.9 * share))
+        found_layer = self._dataset(parts)
+        found_layer.attrs["doubts"] = json.dumps(self._doubts(parts))
         tell(1.0)
-        return self._dataset(parts)
+        return found_layer
 
     def _locate(
         self,
@@ -297,23 +305,42 @@ class LayerFinder:
         return known.start
 
     def _finish(
-        self, found: dict[str, tuple[Edge, NDArray]], fixes: Corrections, progress: Progress
+        self, found: dict[str, Estimate], fixes: Corrections, progress: Progress
     ) -> dict[str, tuple[NDArray, NDArray, NDArray, NDArray]]:
         """Refine the boundaries whose estimate or excluded pixels have changed."""
         changed, made_from = {}, {}
-        for boundary, (edge, start) in found.items():
-            made_from[boundary] = start, _excluded(self._scan, fixes, boundary)
+        for boundary, (_, *depths) in found.items():
+            made_from[boundary] = *depths, _excluded(self._scan, fixes, boundary)
             before = self._finished.get(boundary)
             if before is None or not all(
                 np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
                 for a, b in zip(before, made_from[boundary], strict=True)
             ):
-                changed[boundary] = edge, start
+                changed[boundary] = found[boundary]
         if changed:
             new = _finish(self._scan, changed, fixes, self._method, progress)
             self._parts |= new
             self._finished |= {boundary: made_from[boundary] for boundary in new}
         return {boundary: self._parts[boundary] for boundary in found}
+
+    def _doubts(self, parts: dict[str, tuple[NDArray, NDArray, NDArray, NDArray]]) -> list[str]:
+        """What else may be a boundary of the layer, in words."""
+        scan, said = self._scan, []
+        seen = scan.reduced, scan.sigma, parts["window"][0], parts["sample"][0]
+        dz = scan.spacing[0]
+        if self._window == "line":
+            search = scan.depths(self._ranges["window"], (0.0, scan.shape[0] - 1.0))
+            if (off := rival_line(*seen, search)) is not None:
+                said.append(
+                    f"a line nearly as bright as the window's lies about {dz * off:.2g} mm from "
+                    "it: see which is the window, and say so by window_range"
+                )
+        if self._sample == "rise" and (off := rival_rise(*seen)) is not None:
+            said.append(
+                f"there is scattering from about {dz * off:.2g} mm above the sample side on: see "
+                "where the sample begins, and say so by sample_range"
+            )
+        return said
 
     def _dataset(self, parts: dict[str, tuple[NDArray, NDArray, NDArray, NDArray]]) -> xr.Dataset:
         scan = self._scan
@@ -380,7 +407,8 @@ def find_surface(
     found = _locate(
         scan, edge, np.full(shape, first), np.full(shape, last), fixes, "sample", method
     )
-    parts = _finish(scan, {"sample": (edge, found)}, fixes, method, lambda share: None)
+    estimates = {"sample": (edge, found, np.zeros(shape))}
+    parts = _finish(scan, estimates, fixes, method, lambda share: None)
     depth, quality, filled, _ = parts["sample"]
     return xr.Dataset(
         {
@@ -466,7 +494,7 @@ def _locate(
 
 def _finish(
     scan: _Scan,
-    found: dict[str, tuple[Edge, NDArray]],
+    found: dict[str, Estimate],
     fixes: Corrections,
     method: Method,
     progress: Progress,
@@ -480,7 +508,7 @@ def _finish(
     bands = {name: np.empty((ny, nx, 2 * reach + 1), np.float32) for name in found}
     starts = {
         name: np.nan_to_num(np.round(depth), nan=0.0).astype(np.int64) - reach
-        for name, (_, depth) in found.items()
+        for name, (_, depth, _) in found.items()
     }
     for y in range(ny):
         image = scan.read(y)
@@ -488,10 +516,11 @@ def _finish(
             take_band(image, starts[name][y], bands[name][y])
         progress(0.5 * (y + 1) / ny)
     parts = {}
-    for name, (edge, start) in found.items():
+    for name, (edge, start, shallowest) in found.items():
         lateral = scan.lateral
         # a line is a reflection everywhere
         glare = _glare(bands[name], lateral) if edge == "rise" else np.ones((ny, nx))
+        blank = np.all(bands[name] < 0, axis=2)  # though its neighbours may tell something
         depth, quality = refine(
             bands.pop(name),
             starts[name],
@@ -505,8 +534,8 @@ def _finish(
         if method == "canny":
             depth = start
         excluded = _excluded(scan, fixes, name)
-        lost = ~np.isfinite(depth) | (quality < WORST_CONTRAST) | excluded
-        lost |= (depth < 0) | (depth > scan.shape[0] - 1)
+        lost = ~np.isfinite(depth) | (quality < WORST_CONTRAST) | excluded | blank
+        lost |= (depth < shallowest) | (depth > scan.shape[0] - 1)
         if np.mean(lost) > 0.95:
             raise InputError(
                 f"the {name} side of the layer is nowhere to be seen; check the volume, what the "

@@ -10,6 +10,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 from numba import njit
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from optical_palpation.arguments import choice
@@ -68,11 +69,12 @@ def _convert(image, square, gain, offset):
 
 
 def _tiles(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Tiles `[tile, z, x]` of a B-scan."""
-    tz, tx = min(TILE[0], image.shape[0]), min(TILE[1], image.shape[1])
-    nz, nx = image.shape[0] // tz, image.shape[1] // tx
-    cut = image[: nz * tz, : nx * tx].reshape(nz, tz, nx, tx)
-    return cut.transpose(0, 2, 1, 3).reshape(nz * nx, tz, tx)
+    """Tiles `[tile, z, x]` of a B-scan; the last ones end with it, and may overlap others."""
+    size = [min(t, n) for t, n in zip(TILE, image.shape, strict=True)]
+    starts = [
+        np.unique([*range(0, n - t, t), n - t]) for t, n in zip(size, image.shape, strict=True)
+    ]
+    return sliding_window_view(image, size)[np.ix_(*starts)].reshape(-1, *size)
 
 
 def _some(ny: int) -> NDArray[np.int64]:
@@ -95,7 +97,7 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
         image = np.abs(image) if np.iscomplexobj(image) else image
         return np.array(image, np.float32, order="C")
 
-    spread, level, highest, negative = [], [], [], []
+    spread, level, highest, negative, roughness = [], [], [], [], []
     for y in _some(volume.shape[1]):
         image = raw(int(y))
         size = np.abs(image, dtype=float)
@@ -104,11 +106,14 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
         tiles = tiles[np.all(np.isfinite(tiles) & (tiles != 0 if scale == "dB" else True), (1, 2))]
         if len(tiles) == 0:
             continue
-        mean = tiles.mean((1, 2))
-        quiet = tiles[mean <= np.quantile(mean, 0.25)]
-        spread.append(np.median(quiet.std((1, 2))))
-        level.append(np.median(quiet.mean((1, 2))))
+        mean, deviation = tiles.mean((1, 2), float), tiles.std((1, 2), float)
+        quiet = mean <= np.quantile(mean, 0.25)
+        spread.append(np.median(deviation[quiet]))
+        level.append(np.median(mean[quiet]))
         highest.append(np.max(tiles))
+        # Structures, steps of the digitizer and padding make a tile rougher than speckle is.
+        relative = np.divide(deviation, mean, out=np.full_like(mean, np.inf), where=mean > 0)
+        roughness.append(np.quantile(relative, 0.25, method="lower"))
     if not spread:
         raise InputError("the volume holds no stretch of finite data to tell noise from signal by")
     if scale == "linear" and (share := float(np.mean(negative))) > MOST_NEGATIVE:
@@ -117,9 +122,10 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
             "the signal: is it in decibels (scale 'dB'), or the raw one of the interferometer?"
         )
     deviation, mean = float(np.median(spread)), float(np.median(level))
-    square, gain, offset = False, 0.0, 0.0
+    square, unit, gain, offset = False, 1.0, 0.0, 0.0
     if scale == "linear":
-        square = deviation < 0.75 * mean
+        square = float(np.median(roughness)) < 0.75
+        unit = 1.0 / (float(max(highest)) or 1.0)  # squares of squares, too, are finite numbers
     else:
         if deviation > 8.0:
             gain = min(LOG_SPREAD / deviation, DYNAMIC_RANGE * DB / (max(highest) - mean))
@@ -128,7 +134,7 @@ def intensity_reader(volume: BScans, scale: Scale) -> Read:
         offset = gain * mean
 
     def read(y: int) -> NDArray[np.float32]:
-        image = raw(y)
+        image = raw(y) * np.float32(unit)
         _convert(image, square, np.float32(gain), np.float32(offset))
         return image
 

@@ -170,7 +170,10 @@ def _fit_line_rows(profile, kernel, reach, shift, quality, begin, end):
 def averaged(
     profile: NDArray[np.float32], share: NDArray[np.float32], sigmas: tuple[float, float]
 ) -> NDArray[np.float32]:
-    """Gaussian lateral average of weighted profiles `[y, x, k]`; no data take the mean of all."""
+    """Gaussian lateral average of weighted profiles `[y, x, k]`; no data take the mean of all.
+
+    The weights `share` are averaged in place.
+    """
     for axis, sigma in enumerate(sigmas):
         if profile.shape[axis] > 1:
             gaussian_filter1d(
@@ -230,6 +233,9 @@ def refine(
         mean = averaged(profile, share, lateral)
         if edge == "rise":
             shift, quality = _step_shift(mean, sigma, blur, reach * typical)
+            # Without data below there is nothing bright to tell a step by: not seen.
+            below = share[..., half : half + round(NEAR * typical) + 1].min(axis=2)
+            quality[below < 0.5 * share.max(axis=2)] = 0.0
         else:
             shift, quality = np.zeros((2, *start.shape))
             wide = max(round(4.0 * sigma), 2)

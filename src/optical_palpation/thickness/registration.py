@@ -55,8 +55,8 @@ def lateral_shift(reference: xr.DataArray, moving: xr.DataArray) -> tuple[float,
         )
         # skimage gives the shift that takes `moving` back to `reference`.
         total -= np.asarray(found) * steps
-    begin = [float(moving[axis][0] - reference[axis][0]) for axis in ("y", "x")]
-    return float(total[0]) + begin[0], float(total[1]) + begin[1]
+    y, x = (float(moving[a].values[0] - reference[a].values[0]) for a in ("y", "x"))
+    return float(total[0]) + y, float(total[1]) + x
 
 
 def shift_map(moving: xr.DataArray, shift: tuple[float, float]) -> xr.DataArray:

@@ -82,6 +82,11 @@ class Reduced:
     x: NDArray[np.float64]
     floor: NDArray[np.float32]
 
+    @property
+    def nodes(self) -> tuple[NDArray[np.intp], ...]:
+        """Index of the pixels next to the block centres in a map `[y, x]`."""
+        return np.ix_(np.round(self.y).astype(int), np.round(self.x).astype(int))
+
 
 def column_weights(floor: NDArray[np.float32]) -> NDArray[np.float32]:
     """Weights of A-scans in an average: those that a saturated detector lifted count less."""
@@ -119,38 +124,46 @@ def reduce_volume(
     return Reduced(log, centres[0], centres[1], floor)
 
 
-def _mean_over(a: NDArray, first: int, last: int) -> NDArray:
+def mean_over(a: NDArray, first: int, last: int) -> NDArray:
     """Mean of `a` over the pixels z + first ... z + last along the last axis, edges repeated."""
     size = last - first + 1
     shifted = np.clip(np.arange(a.shape[-1]) + first + size // 2, 0, a.shape[-1] - 1)
     return uniform_filter1d(a, size, axis=-1, mode="nearest")[..., shifted]
 
 
+def without_lines(log: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """A grey opening along depth: what is bright over less than ten resolutions is taken away."""
+    line = round(10.0 * max(sigma, 1.0))
+    return maximum_filter1d(minimum_filter1d(log, line, axis=-1), line, axis=-1)
+
+
 def _rise(log: NDArray[np.float32], sigma: float, inside: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Evidence for a step from dark to bright that lasts: lines are opened away beforehand."""
-    above, below, line = (round(n * max(sigma, 1.0)) for n in (6.0, 16.0, 10.0))
+    """Evidence for a step from dark to bright that lasts."""
+    above, below = (round(n * max(sigma, 1.0)) for n in (6.0, 16.0))
     no_data = np.isnan(log)
     filled = np.where(no_data, np.nanmin(log), log)
-    opened = maximum_filter1d(minimum_filter1d(filled, line, axis=-1), line, axis=-1)
-    step = _mean_over(opened, 1, below) - _mean_over(opened, -above, -1)
+    opened = without_lines(filled, sigma)
+    step = mean_over(opened, 1, below) - mean_over(opened, -above, -1)
     # A lone reflection (a metal sample, say) still beats nothing at all.
-    step = 0.8 * step + 0.2 * (_mean_over(filled, 1, below) - _mean_over(filled, -above, -1))
-    step[_mean_over(no_data.astype(np.float32), -above, -1) > 0.5] = 0.0
+    step = 0.8 * step + 0.2 * (mean_over(filled, 1, below) - mean_over(filled, -above, -1))
+    step[mean_over(no_data.astype(np.float32), -above, -1) > 0.5] = 0.0
     scale = _typical_maximum(step, inside)
     # The layer above is clear: scattering there counts against a candidate, and so does a lack of
     # data, or the structures inside the sample would be as good as its surface.
     dark = np.nanpercentile(log, 20)
     clouded = np.clip(opened - dark - 0.5 * scale, 0.0, scale) / scale
     clouded[no_data] = 1.0
-    return np.clip(step / scale, 0.0, 1.0) - 3.0 * _mean_over(clouded, -3 * below, -1)
+    return np.clip(step / scale, 0.0, 1.0) - 3.0 * mean_over(clouded, -3 * below, -1)
 
 
-def _line(log: NDArray[np.float32], sigma: float, inside: NDArray[np.bool_]) -> NDArray[np.float32]:
+def line_evidence(
+    log: NDArray[np.float32], sigma: float, inside: NDArray[np.bool_]
+) -> NDArray[np.float32]:
     """Evidence for a bright line between darker flanks."""
     near, far, half = (max(round(n * sigma), k) for n, k in ((4.0, 3), (9.0, 5), (1.0, 1)))
     filled = np.where(np.isnan(log), np.nanmin(log), log)
-    centre = _mean_over(filled, -half, half)
-    flank = np.maximum(_mean_over(filled, -far, -near), _mean_over(filled, near, far))
+    centre = mean_over(filled, -half, half)
+    flank = np.maximum(mean_over(filled, -far, -near), mean_over(filled, near, far))
     line = np.maximum(centre - flank, 0.0)
     return line / _typical_maximum(line, inside)
 
@@ -228,8 +241,7 @@ def track(
     excluded
         Pixels `[y, x]` that say nothing about it.
     """
-    iy, ix = np.round(reduced.y).astype(int), np.round(reduced.x).astype(int)
-    nodes = np.ix_(iy, ix)
+    nodes = reduced.nodes
     z = np.arange(reduced.log.shape[-1])
     dz, dy, dx = spacing
     steps = [BLOCK * d / dz for d in (dy, dx)]  # pixels along z per block for a slope of 1
@@ -237,16 +249,16 @@ def track(
     if edge == "fall":
         cost = -_rise(reduced.log[..., ::-1], sigma, inside[..., ::-1])[..., ::-1]
     else:
-        cost = -(_rise if edge == "rise" else _line)(reduced.log, sigma, inside)
+        cost = -(_rise if edge == "rise" else line_evidence)(reduced.log, sigma, inside)
     cost = np.ascontiguousarray(cost, np.float32)
     if excluded is not None:
         cost[excluded[nodes]] = 0.0
     cost[~inside] = 5.0
     for y, x, depth in anchors:
         _anchor(cost, z - depth, [(reduced.y - y) / BLOCK, (reduced.x - x) / BLOCK], steps, sigma)
-    total = -3.0 * cost if len(iy) > 1 else -cost
+    total = -3.0 * cost if len(reduced.y) > 1 else -cost
     _aggregate(cost, total, np.float32(SLOPE_COST / steps[1]), np.float32(JUMP_COST))
-    if len(iy) > 1:
+    if len(reduced.y) > 1:
         turned, turned_total = cost.transpose(1, 0, 2), total.transpose(1, 0, 2)
         _aggregate(turned, turned_total, np.float32(SLOPE_COST / steps[0]), np.float32(JUMP_COST))
     coarse = np.argmin(total, axis=-1).astype(float)

@@ -81,6 +81,16 @@ class Blocks:
         x0, x1, y0, y1 = self.extent
         return x1 - x0, y1 - y0
 
+    def reach(self, x: Array, y: Array) -> float:
+        """How far layer and relief stand out together where they touch first, mm.
+
+        That is where both are thickest together, which need not be at one of the nodes ``x`` and
+        ``y`` of the sample, and never where the sample goes on beyond the layer.
+        """
+        x0, x1, y0, y1 = self.extent
+        at = np.meshgrid(np.clip(_divided(x), x0, x1), np.clip(_divided(y), y0, y1))
+        return float((self.thickness(*at) + self.relief(*at)).max())
+
 
 def assemble(
     blocks: Blocks, mesh: Mesh, stiffness: Callable[[LayerGrid], Array] | None = None
@@ -100,10 +110,7 @@ def assemble(
 
     at = np.meshgrid(sample_x, sample_y)
     height = blocks.relief(*at)
-    # They touch first where the layer and what stands out of the sample are thickest together,
-    # which need not be at a node.
-    between = np.meshgrid(_divided(sample_x), _divided(sample_y))
-    reach = float((blocks.thickness(*between) + blocks.relief(*between)).max())
+    reach = blocks.reach(sample_x, sample_y)
     top = reach - height
     plate = reach + blocks.sample_thickness
     if (plate - top).min() < 0.1 * blocks.sample_thickness:
