@@ -332,12 +332,18 @@ def test_what_was_not_measured_counts_for_nothing(columns):
     assert "was not measured" in warning
 
 
-def test_a_model_that_does_not_fit_is_said(columns):
-    """The sample is taken for too thick by a factor of two, which no stiffness makes good."""
-    result = computed(columns, known(columns, thickness=2.0), element_size=0.25)
+@pytest.mark.parametrize("wrong", [{"thickness": 2.0}, {"compression": 0.8}, {"compression": 1.2}])
+def test_a_model_that_does_not_fit_is_said(columns, wrong):
+    """What is known of the sample is off by these factors, which no stiffness makes good."""
+    of = known(columns)
+    stated = {key: factor * getattr(of, key) for key, factor in wrong.items()}
+    result = computed(columns, known(columns, **stated), element_size=0.25)
     (warning,) = json.loads(result.maps.attrs["unusual"])
     assert "noise and mesh explain" in warning
     assert f"WARNING: {warning}" in summarise(result)
+
+
+def test_a_model_that_fits_is_not_doubted(columns):
     assert not json.loads(computed(columns, element_size=0.25).maps.attrs["unusual"])
 
 
