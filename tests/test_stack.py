@@ -129,6 +129,26 @@ def test_states_on_the_way_are_in_equilibrium_and_those_of_a_smaller_travel():
     assert off < 0.02 * np.linalg.norm(alone.u)
 
 
+def test_the_path_of_a_similar_stack_shortens_the_way_and_leaves_the_answer():
+    """Along the whole path, with friction that slides and a stiffness a tenth higher."""
+    scene = Scene.model_validate(SCENE)
+    levels = [build(scene, coarsening=1.5), build(scene)]
+    changed = [
+        replace(level, bodies=(layer, replace(sample, stiffness=1.1 * sample.factor)))
+        for level in levels
+        for layer, sample in [level.bodies]
+    ]
+    alone = solve(changed)
+    guided = solve(changed, similar=solve(levels).paths)
+    forces = [np.concatenate(each.state.forces) for each in (alone, guided)]
+    assert np.linalg.norm(forces[1] - forces[0]) < 2e-3 * np.linalg.norm(forces[0])
+    iterations = [sum(count for *_, count in each.record) for each in (alone, guided)]
+    assert iterations[1] < 0.8 * iterations[0]
+    for n, (path, level) in enumerate(zip(guided.paths, levels, strict=True)):
+        loads = [load for size, load, _ in guided.record if size == level.n_elements]
+        assert [state.load for state in path] == [0.0] * (n == 0) + loads
+
+
 def test_grids_that_do_not_fit_are_refused():
     assembly = build(Scene.model_validate(SCENE))
     layer, sample = assembly.bodies

@@ -21,7 +21,7 @@ from optical_palpation.mechanics.stack.tangent import Tangent, stiffness_forces
 from optical_palpation.palpation import InputErrors, computational_stress
 from optical_palpation.present import read_result, summarise, write_result
 from optical_palpation.stiffness import Sample, sample_stress
-from optical_palpation.stiffness.forward import Columns, Model, Pressed, Sought
+from optical_palpation.stiffness.forward import Columns, Model, Pressed, Sought, meshes_of
 from optical_palpation.stiffness.inversion import first
 from optical_palpation.stiffness.measurement import ThicknessSurface
 from optical_palpation.stiffness.sample import check_sample
@@ -332,12 +332,18 @@ def test_what_was_not_measured_counts_for_nothing(columns):
     assert "was not measured" in warning
 
 
-def test_a_model_that_does_not_fit_is_said(columns):
-    """The sample is taken for too thick by a factor of two, which no stiffness makes good."""
-    result = computed(columns, known(columns, thickness=2.0), element_size=0.25)
+@pytest.mark.parametrize("wrong", [{"thickness": 2.0}, {"compression": 0.8}, {"compression": 1.2}])
+def test_a_model_that_does_not_fit_is_said(columns, wrong):
+    """What is known of the sample is off by these factors, which no stiffness makes good."""
+    of = known(columns)
+    stated = {key: factor * getattr(of, key) for key, factor in wrong.items()}
+    result = computed(columns, known(columns, **stated), element_size=0.25)
     (warning,) = json.loads(result.maps.attrs["unusual"])
     assert "noise and mesh explain" in warning
     assert f"WARNING: {warning}" in summarise(result)
+
+
+def test_a_model_that_fits_is_not_doubted(columns):
     assert not json.loads(computed(columns, element_size=0.25).maps.attrs["unusual"])
 
 
@@ -495,7 +501,8 @@ def test_factors_solve_many_right_hand_sides(small):
 def test_what_a_sensitivity_leaves_is_of_second_order(what):
     """Of equilibria with the same slip before the last load step (Taylor test)."""
     grid = Columns(np.linspace(0, 3, 7), np.linspace(0, 3, 7))
-    model = Model(_blocks(scene(compression=0.15)), Mesh(0.375), grid)
+    blocks = _blocks(scene(compression=0.15))
+    model = Model(blocks, meshes_of(blocks, Mesh(0.375)), grid)
     x = np.linspace(0, 3, 31)
     flat = xr.DataArray(np.full((31, 31), 0.45), {"y": x, "x": x}, ("y", "x"))
     surface = ThicknessSurface.fitted(flat, 0.375)
@@ -548,7 +555,7 @@ def test_sensitivity_agrees_with_solutions_from_scratch():
     of = scene(compression=0.15)
     blocks = _blocks(of)
     grid = Columns(np.linspace(0, 3, 7), np.linspace(0, 3, 7))
-    model = Model(blocks, Mesh(0.375), grid)
+    model = Model(blocks, meshes_of(blocks, Mesh(0.375)), grid)
     x = np.linspace(0, 3, 31)
     flat = xr.DataArray(np.full((31, 31), 0.45), {"y": x, "x": x}, ("y", "x"))
     surface = ThicknessSurface.fitted(flat, 0.375)
@@ -574,7 +581,7 @@ def test_sensitivity_to_the_relief_agrees_with_solutions_from_scratch():
     """Without friction at the sample there is next to no path for the derivative to leave out."""
     blocks = replace(_blocks(scene(compression=0.15)), friction=(0.3, 0.0, 0.3))
     grid = Columns(np.linspace(0, 3, 9), np.linspace(0, 3, 9))
-    model, travels = Model(blocks, Mesh(0.375), grid), (0.08, 0.15)
+    model, travels = Model(blocks, meshes_of(blocks, Mesh(0.375)), grid), (0.08, 0.15)
     x = np.linspace(0, 3, 31)
     flat = xr.DataArray(np.full((31, 31), 0.45), {"y": x, "x": x}, ("y", "x"))
     surface = ThicknessSurface.fitted(flat, 0.375)
@@ -595,6 +602,25 @@ def test_sensitivity_to_the_relief_agrees_with_solutions_from_scratch():
         assert np.linalg.norm(actual - expected) < 0.01 * np.linalg.norm(actual)
         force = (more.force - less.force) / (2 * small_step)
         assert float(told.force @ direction) == pytest.approx(force, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["sample_thickness", "thickness"])
+def test_a_model_of_another_thickness_has_the_same_mesh(name):
+    """Or the effect of an error of the thickness would be one of the mesh, too."""
+    blocks, grid = _blocks(scene()), Columns(np.linspace(0, 3, 7), np.linspace(0, 3, 7))
+    model = Model(blocks, meshes_of(blocks, Mesh(0.125)), grid)
+    assert len(model.levels) > 1
+    before = blocks.thickness
+    thicker = {
+        "sample_thickness": 1.5 * blocks.sample_thickness,
+        "thickness": lambda x, y: 1.5 * before(x, y),
+    }
+    other = model.changed(**{name: thicker[name]})
+    for level, same in zip(model.levels, other.levels, strict=True):
+        for body, its in zip(level.bodies, same.bodies, strict=True):
+            np.testing.assert_array_equal(body.grid.depth, its.grid.depth)
+    fresh = meshes_of(other.blocks, Mesh(0.125))
+    assert fresh[-1] != model.meshes[-1]
 
 
 def _blocks(of):

@@ -7,7 +7,6 @@ brought into equilibrium on each.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -25,7 +24,7 @@ from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .neighbours import Neighbours
 from .newton import CARRIED, FINE, Balance, LinearSolver, LoadedLayer, Solvers, balance, equilibrate
-from .path import NEARLY, LoadNotReached, Path, StepControl
+from .path import NEARLY, Guide, LoadNotReached, Path, StepControl
 from .problem import LayerProblem, LayerState
 from .untangle import untangled
 
@@ -169,36 +168,18 @@ def prolong(state: LayerState, coarse: LayerProblem, fine: LayerProblem) -> Laye
     )
 
 
-@dataclass
-class _Guide:
-    """The path of a layer on a coarse grid, which its increments on a finer one follow.
+def _guide(path: list[LayerState], coarse: LayerProblem, fine: LayerProblem) -> Guide[LayerState]:
+    """The path of a layer on a coarse grid, which its increments on a finer one follow."""
+    prolonged: dict[int, LayerState] = {}
 
-    It knows of the loads from that of the first state of the ``path`` on.
-    """
+    def state(number: int) -> LayerState:
+        if number not in prolonged:
+            while len(prolonged) > 2:  # those of loads that are passed
+                del prolonged[min(prolonged)]
+            prolonged[number] = prolong(path[number], coarse, fine)
+        return prolonged[number]
 
-    path: list[LayerState]
-    coarse: LayerProblem
-    fine: LayerProblem
-    prolonged: dict[int, LayerState] = field(default_factory=dict, init=False)
-
-    def __call__(self, state: LayerState, load: float) -> LayerState:
-        """Go on from a state on the fine grid to a load."""
-        return state.following(self.at(state.load), self.at(load))
-
-    def at(self, load: float) -> LayerState:
-        """Interpolate the layer of the coarse grid at a load; where it moved there, after that."""
-        after = bisect_right([state.load for state in self.path], load)
-        before = self._state(after - 1)
-        if before.load == load or after == len(self.path):
-            return before
-        return before.towards(self._state(after), load)
-
-    def _state(self, number: int) -> LayerState:
-        if number not in self.prolonged:
-            while len(self.prolonged) > 2:  # those of loads that are passed
-                del self.prolonged[min(self.prolonged)]
-            self.prolonged[number] = prolong(self.path[number], self.coarse, self.fine)
-        return self.prolonged[number]
+    return Guide([state.load for state in path], state)
 
 
 def solve(
@@ -311,21 +292,21 @@ class _Nested:
         """
         rest = LayerState.unloaded(level.grid)
         full = replace(rest, load=1.0, normal_force=rest.normal_force + self.bound_guess(level))
-        guide = None if self.path is None else _Guide(self.path[1], self.path[0], level)
+        guide = None if self.path is None else _guide(self.path[1], self.path[0], level)
         if guide and carried and level.grid.n_elements > _QUICK:
             begin = self._begun(level, guide)
             if begin is not None:
                 with suppress(LoadNotReached):  # else from the beginning
                     return self._followed(level, begin, carried, guide)
-            if guide.path[0].load > 0.0:
+            if guide.loads[0] > 0.0:
                 guide = None
         return self._followed(level, rest, full, guide)
 
-    def _begun(self, level: LayerProblem, guide: _Guide) -> LayerState | None:
+    def _begun(self, level: LayerProblem, guide: Guide[LayerState]) -> LayerState | None:
         """Return the layer at the last load at which a coarser grid's path can be carried over."""
-        for before in reversed(guide.path):
-            if 0.0 < before.load < 1.0:
-                carried = guide.at(before.load)
+        for load in reversed(guide.loads):
+            if 0.0 < load < 1.0:
+                carried = guide.at(load)
                 if balance(level, carried).force_error < _FAR_BEFORE:
                     state, reached = self._balanced(level, carried, self._on_the_way)
                     if not reached:
@@ -335,7 +316,11 @@ class _Nested:
         return None
 
     def _followed(
-        self, level: LayerProblem, begin: LayerState, full: LayerState, guide: _Guide | None
+        self,
+        level: LayerProblem,
+        begin: LayerState,
+        full: LayerState,
+        guide: Guide[LayerState] | None,
     ) -> LayerState:
         """Follow the load on a grid, from a state in equilibrium; ``full`` is an estimate.
 

@@ -7,6 +7,7 @@ then moves as if in honey until it is at rest (``Path.settle``).
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Protocol, Self, TypeVar
@@ -66,6 +67,10 @@ class Loadable(Protocol):
 
     def towards(self, other: Self, load: float) -> Self:
         """Go on to a load on the straight line through another state."""
+        ...
+
+    def following(self, start: Self, end: Self) -> Self:
+        """Go on as another state did from ``start`` to ``end``, to the load of ``end``."""
         ...
 
 
@@ -162,6 +167,29 @@ class StepControl:
     hard: int = 10
 
 
+@dataclass(frozen=True, eq=False)
+class Guide(Generic[AnyState]):
+    """The path of something similar, which the increments of another path follow.
+
+    It knows of the ``loads``, ascending, at which there is a ``state``, by its number.
+    """
+
+    loads: list[float]
+    state: Callable[[int], AnyState]
+
+    def __call__(self, state: AnyState, load: float) -> AnyState:
+        """Go on from a state of the other path to a load."""
+        return state.following(self.at(state.load), self.at(load))
+
+    def at(self, load: float) -> AnyState:
+        """Interpolate the state at a load; where it moved at that load, after that."""
+        after = bisect_right(self.loads, load)
+        before = self.state(after - 1)
+        if before.load == load or after == len(self.loads):
+            return before
+        return before.towards(self.state(after), load)
+
+
 class LoadNotReached(Exception):
     """The load path ended early; carries the load reached and the last reason."""
 
@@ -207,8 +235,8 @@ class Path(Generic[AnyState]):
     before
         The state accepted before the last one.
     guide
-        Returns a trial at a load near a state, from what is known of the path otherwise; by default
-        that is on the straight line through the last two states.
+        Tells what to try at the next load; by default that is on the straight line through the last
+        two states.
     resting
         When bodies that came to the full load against drag are as good as at rest; by default as
         ``tolerances``.
@@ -228,7 +256,7 @@ class Path(Generic[AnyState]):
     report: Callable[[float, int, Any, int], None] | None = None
     before: AnyState | None = None
     resting: Tolerances | None = None
-    guide: Callable[[AnyState, float], AnyState] | None = None
+    guide: Guide[AnyState] | None = None
     visited: list[AnyState] | None = None
     record: list[tuple[float, int]] = field(default_factory=list, init=False)
     spent: int = field(default=0, init=False)

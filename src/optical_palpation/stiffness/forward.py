@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +13,13 @@ from scipy.interpolate import RegularGridInterpolator, make_interp_spline
 
 from optical_palpation.mechanics.grid import LayerGrid
 from optical_palpation.mechanics.path import LoadNotReached
-from optical_palpation.mechanics.stack.assembly import Blocks, Mesh, assemble
+from optical_palpation.mechanics.stack.assembly import (
+    Blocks,
+    Mesh,
+    assemble,
+    count_elements,
+    settled,
+)
 from optical_palpation.mechanics.stack.cascade import solve
 from optical_palpation.mechanics.stack.problem import INTERFACE, LAYER, SAMPLE, WINDOW, Stack, State
 from optical_palpation.mechanics.stack.tangent import Tangent, shape_forces, stiffness_forces
@@ -119,31 +125,39 @@ def _overlaps(borders: Array, others: Array) -> Array:
     return np.asarray(shares / shares.sum(1, keepdims=True), dtype=float)
 
 
+def meshes_of(blocks: Blocks, mesh: Mesh) -> list[Mesh]:
+    """Return a mesh and the coarser ones on which the load path begins, the coarsest first."""
+    x0, x1, y0, y1 = blocks.extent
+    smallest = min(x1 - x0, y1 - y0, *blocks.sample_size)
+    thickness = float(np.median(blocks.thickness(*np.meshgrid([x0, x1], [y0, y1]))))
+    meshes = [settled(mesh, blocks)]
+    while count_elements(blocks, meshes[0]) > _COARSEST:
+        factor = 2.0 ** len(meshes)
+        if factor * mesh.size > smallest / _ACROSS:
+            break
+        meshes.insert(0, settled(mesh.coarser(factor, thickness), blocks))
+    return meshes
+
+
 class Model:
-    """Layer and sample on one mesh, solved from coarse to fine.
+    """Layer and sample, solved from coarse to fine.
 
     A relief that is sought comes in place of that of ``blocks``; the thickness of the sample is
     then the mean one.
 
     Parameters
     ----------
-    blocks, mesh
-        What is pressed, and the elements of the finest mesh.
+    blocks, meshes
+        What is pressed, and its meshes (``meshes_of``).
     columns
         Where the stiffness of the sample is given.
     """
 
-    def __init__(self, blocks: Blocks, mesh: Mesh, columns: Columns) -> None:
-        self.blocks, self.mesh, self.columns = blocks, mesh, columns
-        x0, x1, y0, y1 = blocks.extent
-        smallest = min(x1 - x0, y1 - y0, *blocks.sample_size)
-        thickness = float(np.median(blocks.thickness(*np.meshgrid([x0, x1], [y0, y1]))))
-        self.levels = [assemble(blocks, mesh)]
-        while self.levels[0].n_elements > _COARSEST:
-            factor = 2.0 ** len(self.levels)
-            if factor * mesh.size > smallest / _ACROSS:
-                break
-            self.levels.insert(0, assemble(blocks, mesh.coarser(factor, thickness)))
+    def __init__(self, blocks: Blocks, meshes: Sequence[Mesh], columns: Columns) -> None:
+        self.blocks, self.meshes, self.columns = blocks, meshes, columns
+        self.levels = [assemble(blocks, mesh) for mesh in meshes]
+        #: Of the last sample that was pressed, on each mesh: they guide those of the next one.
+        self.paths: list[list[State]] | None = None
         self._means = [
             columns.means(level.bodies[SAMPLE].grid.y, level.bodies[SAMPLE].grid.x)
             for level in self.levels
@@ -181,8 +195,10 @@ class Model:
         return self.levels[-1].bodies[LAYER].grid
 
     def changed(self, **inputs: Any) -> Model:
-        """Return the model with other values of ``blocks``."""
-        return Model(replace(self.blocks, **inputs), self.mesh, self.columns)
+        """Return the model with other values of ``blocks``, on the same meshes."""
+        model = Model(replace(self.blocks, **inputs), self.meshes, self.columns)
+        model.paths = self.paths
+        return model
 
     def pressed(
         self, sought: Sought, report: Callable[[Stack, float, object], None] | None = None
@@ -195,7 +211,9 @@ class Model:
             Also where a sample of such a relief would not be touched.
         """
         levels, stops = self.stacks(sought)
-        return [Pressed(levels[-1], state) for state in solve(levels, report, stops).stops]
+        solution = solve(levels, report, stops, similar=self.paths)
+        self.paths = solution.paths
+        return [Pressed(levels[-1], state) for state in solution.stops]
 
     def stacks(self, sought: Sought) -> tuple[list[Stack], list[float]]:
         """What is pressed, on all meshes from the coarsest on, and the loads of the travels.

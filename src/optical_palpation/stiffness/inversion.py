@@ -290,30 +290,33 @@ class _Search:
     def on_fine_mesh(self, row: Array) -> Estimate:
         """Steps for the misfit of the fine mesh, with the sensitivity of the coarse one.
 
-        The coarse mesh is solved once more at the start: after that the stiffness changes too
-        little to change the sensitivity, or the error of the mesh.
+        Each is judged by the error of the mesh, which the coarse mesh tells for the same stiffness:
+        for that of the start it may be several times as large.
         """
         before = step = None
-        best: tuple[float, Array, list[Pressed], Array] | None = None
-        rough = self.coarse.pressed(self.order.read(row))
-        self.solutions.append((rough[-1].stack.n_elements, np.nan))
-        sensitivities = self._sensitivities(rough)
-        jacobian = np.concatenate([self.carry @ s.thickness for s in sensitivities])
-        tolerance = of_mesh = np.zeros(0)
+        best: tuple[Array, list[Pressed], Array] | None = None
+        sensitivities: list[Sensitivity] = []
+        jacobian = np.zeros(0)
         for _ in range(_FINE_STEPS + 1):
             pressed, row = self._pressed(self.fine, before, step, row)
-            misfit = self._misfit(pressed)
+            own, rough = self._misfit(pressed), self.coarse.pressed(self.order.read(row))
             if best is None:
-                of_mesh, tolerance = self._error_of_mesh(misfit, self._misfit(rough))
-            misfit += of_mesh
+                sensitivities = self._sensitivities(rough)
+                jacobian = np.concatenate([self.carry @ s.thickness for s in sensitivities])
+            of_mesh, tolerance = self._error_of_mesh(own, self._misfit(rough))
+            misfit = own + of_mesh
             weight = self._weight(pressed, tolerance)
             left = _left(weight * misfit, weight)
+            self.solutions.append((rough[-1].stack.n_elements, np.nan))
             self.solutions.append((pressed[-1].stack.n_elements, left))
             off = _rms(self._off(pressed))
-            whole = float(np.hypot(left, off))
-            gained = best is None or whole < _NO_GAIN * best[0]
-            if best is None or whole < best[0]:
-                best = whole, row, pressed, misfit
+            whole = least = float(np.hypot(left, off))
+            if best is not None:
+                was = _left(self._weight(best[1], tolerance) * (best[2] + of_mesh), weight)
+                least = float(np.hypot(was, _rms(self._off(best[1]))))
+            gained = best is None or whole < _NO_GAIN * least
+            if best is None or whole < least:
+                best = row, pressed, own
             if not gained or max(left, off) <= 1.0:
                 break
             system = self._system(jacobian, sensitivities, misfit, weight, pressed)
@@ -324,7 +327,8 @@ class _Search:
                 break
             before, row = row, row + step
         assert best is not None
-        _, row, pressed, misfit = best
+        row, pressed, own = best
+        misfit = own + of_mesh
         weight = self._weight(pressed, tolerance)
         system = self._system(jacobian, sensitivities, misfit, weight, pressed)
         _, alpha, factor = self._step(system, row)

@@ -30,7 +30,7 @@ from optical_palpation.palpation.progress import Progress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.stiffness.errors import propagated
-from optical_palpation.stiffness.forward import Columns, Model, Sought
+from optical_palpation.stiffness.forward import Columns, Model, Sought, meshes_of
 from optical_palpation.stiffness.inversion import Estimate, invert
 from optical_palpation.stiffness.maps import as_rigid, sample_result
 from optical_palpation.stiffness.measurement import ThicknessSurface, without_noise
@@ -233,7 +233,8 @@ def _models(blocks: Blocks, mesh: Mesh, columns: Columns, thickness: float) -> t
     while count_elements(blocks, mesh.coarser(factor, thickness)) > _COARSE_ELEMENTS:
         factor *= 1.1
     coarser = mesh.coarser(factor, thickness)
-    return Model(blocks, mesh, columns), Model(blocks, coarser, columns)
+    fine, coarse = (Model(blocks, meshes_of(blocks, each), columns) for each in (mesh, coarser))
+    return fine, coarse
 
 
 def _start(

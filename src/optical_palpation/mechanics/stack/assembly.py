@@ -34,13 +34,15 @@ class Mesh:
     """Sizes of elements, mm.
 
     ``size`` is that of the layer, laterally and, unless ``layers`` says how many there are, across
-    it; ``edge`` that of the outermost ones; the sample's grow by ``growth`` each towards the plate.
+    it; ``edge`` that of the outermost ones; the sample's grow by ``growth`` each towards the plate,
+    from those of the layer on, unless ``below`` says how many there are.
     """
 
     size: float
     edge: float | None = None
     layers: int | None = None
     growth: float = 1.25
+    below: int | None = None
 
     def coarser(self, factor: float, thickness: float) -> Mesh:
         """Return elements ``factor`` times as large for a layer of that thickness."""
@@ -184,6 +186,15 @@ def count_elements(blocks: Blocks, mesh: Mesh) -> int:
     return sum(prod(len(nodes) - 1 for nodes in axes) for axes in _node_axes(blocks, mesh))
 
 
+def settled(mesh: Mesh, blocks: Blocks) -> Mesh:
+    """Return the mesh with as many elements across layer and sample as it has for these blocks.
+
+    Others, whose thickness is a little different, then get the same mesh, and do not differ by it.
+    """
+    (layer_depth, _, _), (depth, _, _) = _node_axes(blocks, mesh)
+    return replace(mesh, layers=len(layer_depth) - 1, below=len(depth) - 1)
+
+
 def _node_axes(blocks: Blocks, mesh: Mesh) -> tuple[Axes, Axes]:
     """Nodes of layer and sample along z, as fractions of their thickness, y and x, mm."""
     x0, _, y0, _ = blocks.extent
@@ -196,7 +207,9 @@ def _node_axes(blocks: Blocks, mesh: Mesh) -> tuple[Axes, Axes]:
     )
     typical = float(np.median(blocks.thickness(*np.meshgrid(layer_x, layer_y))))
     count = mesh.layers or max(3, round(typical / mesh.size))
-    depth = _graded(blocks.sample_thickness, typical / count, mesh.growth)
+    below = mesh.below or _graded(blocks.sample_thickness, typical / count, mesh.growth)
+    widths = mesh.growth ** np.arange(below)
+    depth = np.concatenate([[0.0], np.cumsum(widths) / widths.sum()])
     return (np.linspace(0, 1, count + 1), layer_y, layer_x), (depth, sample_y, sample_x)
 
 
@@ -236,11 +249,9 @@ def _extended(inner: Array, width: float, size: float) -> Array:
     return np.concatenate([inner[0] - outside[::-1], inner, inner[-1] + outside])
 
 
-def _graded(thickness: float, first: float, growth: float) -> Array:
-    """Depth fractions of elements that grow from about ``first`` by ``growth`` each."""
+def _graded(thickness: float, first: float, growth: float) -> int:
+    """How many elements that grow from about ``first`` by ``growth`` each fill a thickness."""
     widths = [first]
     while sum(widths) < thickness - 0.5 * widths[-1] * growth:
         widths.append(widths[-1] * growth)
-    if len(widths) < 2:
-        widths = [1.0, 1.0]
-    return np.concatenate([[0.0], np.cumsum(widths) / sum(widths)])
+    return max(2, len(widths))

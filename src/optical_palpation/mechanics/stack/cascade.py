@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..iteration import TOLERANCES, NotConverged, relaxed
-from ..path import LoadNotReached, Path, StepControl
+from ..path import Guide, LoadNotReached, Path, StepControl
 from .contact import ContactState, SideState
 from .newton import Balance, LoadedStack, equilibrate, make_solver
 from .problem import Stack, State, at_rest, fully_loaded
@@ -33,12 +33,14 @@ class Solution:
     """The compressed stack, and how it was reached.
 
     ``record`` lists (elements, load, Newton iterations) of every accepted equilibrium, ``stops``
-    are the states at the loads that were asked for.
+    are the states at the loads that were asked for. ``paths`` has the accepted states of each
+    mesh.
     """
 
     state: State
     record: list[tuple[int, float, int]]
     stops: list[State]
+    paths: list[list[State]]
 
 
 def solve(
@@ -47,10 +49,12 @@ def solve(
     stops: Sequence[float] = (),
     control: StepControl | None = None,
     target: float = 1.0,
+    similar: Sequence[list[State]] | None = None,
 ) -> Solution:
     """Compress to a share ``target`` of the full travel; ``levels`` are meshes, coarse to fine.
 
-    The states of the finest mesh at the loads ``stops`` are kept.
+    The states of the finest mesh at the loads ``stops`` are kept. The paths of a ``similar`` stack
+    on the same meshes, if they are given, guide the way.
 
     Raises
     ------
@@ -60,23 +64,27 @@ def solve(
     path: Path[State] | None = None
     record: list[tuple[int, float, int]] = []
     kept: list[State] | None = None
+    paths: list[list[State]] = []
     handover = min(_HANDOVER, *(0.5 * load for load in stops)) if stops else _HANDOVER
     for n, level in enumerate(levels):
         to, here = (target, stops) if level is levels[-1] else (handover, ())
+        guide = _guide(similar[n]) if similar else None
         kept = None
         if path is not None:
             try:
-                path = _carried(path, levels[n - 1], level, report)
+                path = _carried(path, levels[n - 1], level, report, guide)
                 kept = path.follow(path.state, to, here)
             except (NotConverged, LoadNotReached):
                 kept = None
         if path is None or kept is None:
-            path = _path(level, at_rest(level), report, control)
+            path = _path(level, at_rest(level), report, control, guide=guide)
             kept = path.follow(fully_loaded(level), to, here)
         record += [(level.n_elements, *step) for step in path.record]
+        assert path.visited is not None
+        paths.append(path.visited)
     assert path is not None
     assert kept is not None
-    return Solution(path.state, record, kept)
+    return Solution(path.state, record, kept, paths)
 
 
 def _path(
@@ -85,8 +93,11 @@ def _path(
     report: Report | None,
     control: StepControl | None,
     before: State | None = None,
+    guide: Guide[State] | None = None,
 ) -> Path[State]:
     """Return a load path from a state on."""
+    if guide and guide.loads[0] > state.load:
+        guide = None
 
     def on_iteration(load: float, iteration: int, now: Balance, krylov: int) -> None:
         if report:
@@ -94,10 +105,30 @@ def _path(
 
     loaded = LoadedStack(stack, make_solver(stack))
     loose = relaxed(TOLERANCES, _ON_THE_WAY)
-    return Path(loaded, TOLERANCES, loose, state, control or _CONTROL, on_iteration, before)
+    return Path(
+        loaded,
+        TOLERANCES,
+        loose,
+        state,
+        control or _CONTROL,
+        on_iteration,
+        before,
+        guide=guide,
+        visited=[],
+    )
 
 
-def _carried(path: Path[State], coarse: Stack, fine: Stack, report: Report | None) -> Path[State]:
+def _guide(path: list[State]) -> Guide[State]:
+    return Guide([state.load for state in path], path.__getitem__)
+
+
+def _carried(
+    path: Path[State],
+    coarse: Stack,
+    fine: Stack,
+    report: Report | None,
+    guide: Guide[State] | None,
+) -> Path[State]:
     """Return a path that goes on from where one on a coarser mesh has come."""
     assert path.before is not None  # it has gone to the handover
     state, before = (_prolonged(s, coarse, fine) for s in (path.state, path.before))
@@ -120,7 +151,7 @@ def _carried(path: Path[State], coarse: Stack, fine: Stack, report: Report | Non
         tuple(p - d for p, d in zip(state.p, step_p, strict=True)),
         tuple(n - d for n, d in zip(state.forces, step_n, strict=True)),
     )
-    path = _path(fine, state, report, replace(_CONTROL, first=_CONTROL.largest), before)
+    path = _path(fine, state, report, replace(_CONTROL, first=_CONTROL.largest), before, guide)
     path.record.append((state.load, count))
     return path
 

@@ -167,6 +167,17 @@ class State:
             ),
         )
 
+    def following(self, start: State, end: State) -> State:
+        """Go on as another stack did from ``start`` to ``end``, to the load of ``end``."""
+        return self.at_load(end.load).moved(
+            self.u + end.u - start.u,
+            tuple(p + q - o for p, q, o in zip(self.p, end.p, start.p, strict=True)),
+            tuple(
+                np.maximum(0.0, n + m - o)
+                for n, m, o in zip(self.forces, end.forces, start.forces, strict=True)
+            ),
+        )
+
     def stepped(
         self, fraction: float, du: Array, dp: Sequence[Array], dn: Sequence[Array]
     ) -> State:
