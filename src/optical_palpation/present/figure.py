@@ -44,6 +44,10 @@ _MM = 1 / 25.4
 _ALL, _HATCH = 0.95, "#A0A0A0"
 # Room for the numbers of a colour bar, inches.
 _NUMBERS = 0.4
+# Room for the letter of a panel, inches.
+_LETTER = 0.3
+# Layouts until a figure stays as it is: most do after two.
+_LAYOUTS = 6
 _DPI = 300
 _STYLE: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
@@ -141,12 +145,54 @@ def figure_file(
         with warnings.catch_warnings():
             warnings.filterwarnings("error", "constrained_layout not applied")
             try:
+                _settle(figure)
                 figure.savefig(temporary, metadata=metadata[temporary.suffix.lower()])
             except UserWarning:
                 raise InputError(
                     f"width: {width_in_mm(width):g} mm leave no room for the maps beside their "
                     "numbers; give more, or fewer columns"
                 ) from None
+
+
+def _settle(figure: Figure) -> None:
+    """Lay a figure out until it stays as it is, no title longer than its room.
+
+    One layout is not enough: a map true to scale fills its room in one direction only, and the
+    colour bar beside it is in proportion to the map.
+    """
+    engine: Any = figure.get_layout_engine()
+    before: list[Any] = []
+    for _ in range(_LAYOUTS):
+        engine.execute(figure)
+        for axes in figure.axes:
+            axes.apply_aspect()
+        places = [axes.get_position().bounds for axes in figure.axes]
+        if not _break_titles(figure) and before and np.allclose(before, places, atol=1e-3):
+            break
+        before = places
+
+
+def _break_titles(figure: Figure) -> bool:
+    """Break titles that run off the figure or into the next panel; whether there were any.
+
+    A layout keeps room for the height of a title, not for its length.
+    """
+    boxes = [axes.get_window_extent() for axes in figure.axes]
+    broken = False
+    for axes, box in zip(figure.axes, boxes, strict=True):
+        line = axes.get_title(loc="left")
+        if not line or "\n" in line:
+            continue
+        beside = [b for b in boxes if b.x0 > box.x1 and b.y0 < box.y1 and box.y0 < b.y1]
+        # left of a panel is its letter; what is narrow is a colour bar
+        ends = [b.x0 - _LETTER * figure.dpi for b in beside if b.width > 0.3 * box.width]
+        room = min([figure.bbox.x1, *ends]) - box.x0
+        length = axes.set_title(line, loc="left").get_window_extent().width
+        end = line.rfind(" ", 0, int(len(line) * room / length) + 1) if length > room else 0
+        if end > 0:
+            axes.set_title(f"{line[:end]}\n{line[end + 1 :]}", loc="left")
+            broken = True
+    return broken
 
 
 def width_in_mm(width: Width) -> float:
@@ -260,7 +306,8 @@ def draw_map(
             bar = figure.colorbar(mesh, **beside, ticks=range(len(named)))
             shares = [area_mean(field == k) for k in range(len(named))]
             rows = zip(named, shares, strict=True)
-            bar.ax.set_yticklabels([f"{name}\n{percent(share)}" for name, share in rows])
+            between = "\n" if _is_high(axes, 2 * len(named)) else " "
+            bar.ax.set_yticklabels([f"{name}{between}{percent(share)}" for name, share in rows])
             bar.ax.tick_params(length=0)
         else:
             seen = values[np.isfinite(values)]
@@ -314,6 +361,17 @@ def _beside(axes: Axes) -> dict[str, Any]:
     aspect = float(np.ptp(axes.get_ylim()) / np.ptp(axes.get_xlim()))
     width, height = 0.05 * np.clip(aspect, 0.6, 2.0), max(1.0, 0.25 / aspect)
     return {"cax": axes.inset_axes((1.04, (1.0 - height) / 2, width, height))}
+
+
+def _is_high(axes: Axes, lines: int) -> bool:
+    """Whether so many lines of small text fit beside a map, as wide as its room lets it be."""
+    import matplotlib
+
+    figure: Any = axes.get_figure(root=True)
+    box = axes.get_window_extent()
+    aspect = float(np.ptp(axes.get_ylim()) / np.ptp(axes.get_xlim()))
+    line = 1.4 * float(matplotlib.rcParams["ytick.labelsize"]) / 72 * figure.dpi
+    return bool(min(box.height, box.width * aspect) >= lines * line)
 
 
 def hatch_edges(axes: Axes, maps: xr.Dataset) -> None:
