@@ -16,7 +16,13 @@ from optical_palpation.analysis import Region
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present import write_maps, write_panel
-from optical_palpation.present.figure import colour_map, draw_map, figure_file, new_figure
+from optical_palpation.present.figure import (
+    colour_map,
+    draw_map,
+    figure_file,
+    hatch_interpolated,
+    new_figure,
+)
 from optical_palpation.present.panel import draw_panel, panel_height
 from optical_palpation.present.summary import contact_share
 from optical_palpation.present.terms import term
@@ -219,6 +225,30 @@ def test_profiles_of_the_panel_have_the_error_of_inputs_and_mesh():
         band = profile.collections[0].get_paths()[0].vertices
     ends = band[band[:, 0] == X[0], 1]
     assert ends.max() - ends.min() == pytest.approx(1.0)
+
+
+def test_what_was_interpolated_is_hatched_and_said_so(tmp_path):
+    whole = result()
+    gap = (whole.maps["x"] > 1) & (whole.maps["x"] < 2) & (whole.maps["y"] > 2)
+    pictures = {}
+    for name, filled in {"whole": gap & False, "gap": gap}.items():
+        one = StressResult(whole.maps.assign(filled=filled.transpose("y", "x")))
+        write_panel(one, tmp_path / f"{name}-panel.svg")
+        write_maps(one, tmp_path / f"{name}-map.svg", ["axial_stress"])
+        for kind in ("panel", "map"):
+            said = texts(tmp_path / f"{name}-{kind}.svg")
+            assert ("interpolated" in said) == (name == "gap")
+        with new_figure("single", 60) as figure:
+            axes = figure.subplots()
+            draw_map(axes, one.maps["axial_stress"], term(one.maps, "axial_stress"))
+            hatch_interpolated([axes], one.maps)
+            figure.canvas.draw()
+            pictures[name] = np.asarray(figure.canvas.buffer_rgba())
+            at = axes.transData.transform([[1.2, 2.2], [1.8, 2.8], [2.5, 1.2], [3.5, 1.8]])
+    changed = (pictures["whole"] != pictures["gap"]).any(-1)[::-1]
+    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = at.astype(int)
+    assert changed[y0:y1, x0:x1].any()
+    assert not changed[y2:y3, x2:x3].any()
 
 
 def test_a_scale_bar_takes_the_place_of_axes(tmp_path):

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
 
 Width = Literal["single", "double"] | float
 #: Widths of one and two columns, mm; those of most journals differ by no more than 5 mm.
@@ -42,6 +43,8 @@ COLUMNS = {"single": 85.0, "double": 178.0}
 _MM = 1 / 25.4
 # Where the sides matter all over a map, hatching would only hide it.
 _ALL, _HATCH = 0.95, "#A0A0A0"
+# As in the report.
+_INTERPOLATED = "#CC79A7"
 # Room for the numbers of a colour bar, inches.
 _NUMBERS = 0.4
 # Room for the letter of a panel, inches.
@@ -390,12 +393,30 @@ def hatch_edges(axes: Axes, maps: xr.Dataset) -> None:
     if bool((values > NOTABLE).mean() > _ALL):
         axes.set_xlabel(f"{axes.get_xlabel()}\nsides matter everywhere (> {100 * NOTABLE:g} %)")
         return
-    options: Any = {"levels": [NOTABLE, np.inf], "colors": "none", "hatches": ["////"]}
-    drawn = axes.contourf(values["x"], values["y"], values, **options)
-    drawn.set_edgecolor(_HATCH)
-    drawn.set_linewidth(0.0)
-    axes.contour(values["x"], values["y"], values, [NOTABLE], colors=_HATCH, linewidths=0.5)
+    _hatch(axes, values, NOTABLE, "////", _HATCH)
     axes.set_xlabel(f"{axes.get_xlabel()}\nhatched: sides matter (> {100 * NOTABLE:g} %)")
+
+
+def hatch_interpolated(panels: Iterable[Axes], maps: xr.Dataset) -> list[Patch]:
+    """Hatch what was interpolated instead of measured in maps, and return its key for a legend."""
+    from matplotlib.patches import Patch
+
+    if "filled" not in maps or not bool((filled := maps["filled"].fillna(0) > 0).any()):
+        return []
+    filled = filled.transpose("y", "x").astype(float)
+    for axes in panels if min(filled.shape) > 1 else ():
+        _hatch(axes, filled, 0.5, "\\\\\\\\", _INTERPOLATED)
+    look: Any = {"facecolor": "none", "edgecolor": _INTERPOLATED, "hatch": "\\\\\\\\"}
+    return [Patch(label="interpolated", linewidth=0.5, **look)]
+
+
+def _hatch(axes: Axes, values: xr.DataArray, above: float, hatch: str, colour: str) -> None:
+    """Hatch where a map is above a value, and outline that."""
+    place = values["x"], values["y"], values
+    drawn = axes.contourf(*place, levels=[above, np.inf], colors="none", hatches=[hatch])
+    drawn.set_edgecolor(colour)
+    drawn.set_linewidth(0.0)
+    axes.contour(*place, [above], colors=colour, linewidths=0.5)
 
 
 def _equal_ticks(axes: Axes) -> None:
@@ -607,6 +628,9 @@ def write_maps(
                 regions=regions,
                 frame=frame,
             )
+        seen = [axes for axes, what in zip(panels, terms.values(), strict=False) if what.has_limits]
+        if key := hatch_interpolated(seen, maps):
+            figure.legend(handles=key, loc="outside lower right")
         for axes in panels[len(names) :]:
             axes.remove()
         for k, axes in enumerate(panels[: len(names)]):
