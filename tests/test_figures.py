@@ -3,19 +3,27 @@
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image
 
 from optical_palpation.analysis import Region
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present import write_maps, write_panel
-from optical_palpation.present.figure import colour_map, draw_map, new_figure
-from optical_palpation.present.panel import draw_panel
+from optical_palpation.present.figure import (
+    colour_map,
+    draw_map,
+    figure_file,
+    hatch_interpolated,
+    new_figure,
+)
+from optical_palpation.present.panel import draw_panel, panel_height
 from optical_palpation.present.summary import contact_share
 from optical_palpation.present.terms import term
 
@@ -75,6 +83,37 @@ def test_the_colour_bar_is_as_high_as_the_map(size):
             assert shaft.height == pytest.approx(box.height, rel=0.08)  # tips may be added
             assert bar.get_tightbbox().x1 <= figure.bbox.x1
         assert pair[0].child_axes[0].get_tightbbox().x1 < pair[1].get_tightbbox().x0
+
+
+def of_size(across, along):
+    """The result on a field of other proportions."""
+    maps = result().maps
+    maps = maps.assign_coords(x=np.linspace(0, across, X.size), y=np.linspace(0, along, Y.size))
+    return StressResult(maps)
+
+
+@pytest.mark.parametrize("size", [(3.0, 8.0), (4.0, 4.0), (8.0, 3.0)])
+def test_nothing_is_cut_off_at_the_border_of_a_figure(tmp_path, size):
+    one = of_size(*size)
+    names = ["axial_stress", "loaded_thickness", "contact_state", "strain_energy"]
+    write_panel(one, tmp_path / "panel.png")
+    write_maps(one, tmp_path / "double.png", names, width="double")
+    write_maps(one, tmp_path / "single.png", names[1:3], width="single")
+    for path in tmp_path.iterdir():
+        picture = np.asarray(Image.open(path).convert("L"))
+        rim = [picture[:2], picture[-2:], picture[:, :2], picture[:, -2:]]
+        assert min(part.min() for part in rim) == 255, path.name
+
+
+@pytest.mark.parametrize("size", [(4.0, 4.0), (8.0, 3.0)])
+def test_names_of_contact_states_do_not_lie_on_each_other(tmp_path, size):
+    maps = of_size(*size).maps
+    with figure_file(tmp_path / "panel.png", "double", panel_height(maps)) as figure:
+        draw_panel(maps, figure)
+    found = [it for it in figure.findobj(Text) if it.get_visible() and " %" in it.get_text()]
+    boxes = sorted((it.get_window_extent() for it in found), key=lambda box: box.y0)
+    assert len(boxes) == 3
+    assert all(lower.y1 < upper.y0 for lower, upper in pairwise(boxes))
 
 
 def test_the_colour_bar_of_a_figure_without_a_layout_leaves_the_next_axes_alone():
@@ -186,6 +225,30 @@ def test_profiles_of_the_panel_have_the_error_of_inputs_and_mesh():
         band = profile.collections[0].get_paths()[0].vertices
     ends = band[band[:, 0] == X[0], 1]
     assert ends.max() - ends.min() == pytest.approx(1.0)
+
+
+def test_what_was_interpolated_is_hatched_and_said_so(tmp_path):
+    whole = result()
+    gap = (whole.maps["x"] > 1) & (whole.maps["x"] < 2) & (whole.maps["y"] > 2)
+    pictures = {}
+    for name, filled in {"whole": gap & False, "gap": gap}.items():
+        one = StressResult(whole.maps.assign(filled=filled.transpose("y", "x")))
+        write_panel(one, tmp_path / f"{name}-panel.svg")
+        write_maps(one, tmp_path / f"{name}-map.svg", ["axial_stress"])
+        for kind in ("panel", "map"):
+            said = texts(tmp_path / f"{name}-{kind}.svg")
+            assert ("interpolated" in said) == (name == "gap")
+        with new_figure("single", 60) as figure:
+            axes = figure.subplots()
+            draw_map(axes, one.maps["axial_stress"], term(one.maps, "axial_stress"))
+            hatch_interpolated([axes], one.maps)
+            figure.canvas.draw()
+            pictures[name] = np.asarray(figure.canvas.buffer_rgba())
+            at = axes.transData.transform([[1.2, 2.2], [1.8, 2.8], [2.5, 1.2], [3.5, 1.8]])
+    changed = (pictures["whole"] != pictures["gap"]).any(-1)[::-1]
+    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = at.astype(int)
+    assert changed[y0:y1, x0:x1].any()
+    assert not changed[y2:y3, x2:x3].any()
 
 
 def test_a_scale_bar_takes_the_place_of_axes(tmp_path):

@@ -688,6 +688,46 @@ def test_forces_and_convergence(page):
     )
 
 
+@pytest.mark.parametrize(
+    ("scale", "power"), [(1e-4, "10\u207b\u00b3 "), (1.0, ""), (300.0, "10\u00b3 ")]
+)
+@pytest.mark.parametrize("width", [1366, 390])
+def test_small_and_large_numbers_do_not_lie_on_each_other(show, tmp_path, width, scale, power):
+    maps = stress_result().maps
+    for name in ("axial_stress", "algebraic_axial_stress", "contact_pressure"):
+        maps[name] = scale * maps[name]
+    page = show(write(tmp_path / "scaled.html", StressResult(maps)), width, 844)
+    page.locator(".maps").first.scroll_into_view_if_needed()
+    # numbers below colour bars: none beyond the bar, nor on its neighbour
+    beyond = page.evaluate(
+        """() => [...document.querySelectorAll(".colours")].filter((bar) => {
+            const seen = [...bar.querySelectorAll("span")].map((span) => {
+                const range = document.createRange();
+                range.selectNodeContents(span);
+                return [range.getBoundingClientRect(), span.getBoundingClientRect()];
+            }).filter(([text, box]) => text.top < box.bottom - 2).map(([text]) => text);
+            const whole = bar.getBoundingClientRect();
+            return seen.length < 2 || seen.some((text, k) =>
+                text.left < whole.left - 1 || text.right > whole.right + 1
+                || (k && text.left < seen[k - 1].right + 2));
+        }).length"""
+    )
+    assert beyond == 0
+    host = page.locator(".profiles .plot").first
+    host.scroll_into_view_if_needed()
+    boxes = host.locator("svg text").evaluate_all(
+        """(all) => all.map((e) => [e.hasAttribute("transform"), e.getAttribute("text-anchor"),
+            e.getBoundingClientRect().left, e.getBoundingClientRect().right])"""
+    )
+    label = max(right for turned, _, _, right in boxes if turned)
+    assert min(left for turned, at, left, _ in boxes if at == "end") > label
+    assert host.locator("svg text[transform]").text_content() == f"axial stress ({power}kPa)"
+    low, high = labelled(host)[1]
+    shown = {"": 1.0, "10\u207b\u00b3 ": 1e-3, "10\u00b3 ": 1e3}[power]
+    stress = maps["axial_stress"].values / shown
+    assert min(low, high) == pytest.approx(np.nanmin(stress), rel=0.2)
+
+
 @pytest.mark.parametrize("width", [390, 320])
 def test_phone(show, study, width):
     page = show(study, width, 844, has_touch=True, is_mobile=True, device_scale_factor=2)

@@ -16,10 +16,11 @@ from optical_palpation.experiment import Scene, run_experiment
 from optical_palpation.material import Yeoh
 from optical_palpation.palpation import StressResult
 from optical_palpation.palpation.plausibility import SOFT_SAMPLE
-from optical_palpation.present import read_result, write_profiles, write_tiff
+from optical_palpation.present import read_result, summarise, write_profiles, write_tiff
 from optical_palpation.present.figure import new_figure
 from optical_palpation.present.panel import draw_panel, panel_height
 from optical_palpation.present.report import write_report
+from optical_palpation.present.report.content import key_figures
 from optical_palpation.present.summary import INPUTS
 from optical_palpation.stiffness.maps import SAMPLE_MAPS
 from optical_palpation.study import describe_inputs, read_study, run_study
@@ -456,6 +457,18 @@ def page_data(path):
     text = path.read_text(encoding="utf-8").replace("\u00a0", " ")
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.S)
     return text, json.loads(found[1])
+
+
+def test_summary_and_report_round_alike_what_was_found_of_the_sample(finished):
+    result = read_result(finished / "stress.nc")
+    known = {"thickness": {"half_width": 0.002}, "initial_thickness": {"half_width": 0.004}}
+    result.maps.attrs["error_bands"] = json.dumps(known)
+    figures = dict(key_figures(result, None, None))
+    assert figures["Loaded thickness, median"].endswith(" \u00b1 0.0020 mm")
+    assert figures["Unloaded thickness, mean"].endswith(" \u00b1 0.0040 mm")
+    modulus = figures["Young's modulus of the sample, median"]
+    assert " \u00b1 " in modulus
+    assert f"Young's modulus of the sample: median {modulus}" in summarise(result)
 
 
 def test_the_report_has_layers_numbers_and_parameters(finished):

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
 
 Width = Literal["single", "double"] | float
 #: Widths of one and two columns, mm; those of most journals differ by no more than 5 mm.
@@ -42,8 +43,14 @@ COLUMNS = {"single": 85.0, "double": 178.0}
 _MM = 1 / 25.4
 # Where the sides matter all over a map, hatching would only hide it.
 _ALL, _HATCH = 0.95, "#A0A0A0"
+# As in the report.
+_INTERPOLATED = "#CC79A7"
 # Room for the numbers of a colour bar, inches.
 _NUMBERS = 0.4
+# Room for the letter of a panel, inches.
+_LETTER = 0.3
+# Layouts until a figure stays as it is: most do after two.
+_LAYOUTS = 6
 _DPI = 300
 _STYLE: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
@@ -141,12 +148,54 @@ def figure_file(
         with warnings.catch_warnings():
             warnings.filterwarnings("error", "constrained_layout not applied")
             try:
+                _settle(figure)
                 figure.savefig(temporary, metadata=metadata[temporary.suffix.lower()])
             except UserWarning:
                 raise InputError(
                     f"width: {width_in_mm(width):g} mm leave no room for the maps beside their "
                     "numbers; give more, or fewer columns"
                 ) from None
+
+
+def _settle(figure: Figure) -> None:
+    """Lay a figure out until it stays as it is, no title longer than its room.
+
+    One layout is not enough: a map true to scale fills its room in one direction only, and the
+    colour bar beside it is in proportion to the map.
+    """
+    engine: Any = figure.get_layout_engine()
+    before: list[Any] = []
+    for _ in range(_LAYOUTS):
+        engine.execute(figure)
+        for axes in figure.axes:
+            axes.apply_aspect()
+        places = [axes.get_position().bounds for axes in figure.axes]
+        if not _break_titles(figure) and before and np.allclose(before, places, atol=1e-3):
+            break
+        before = places
+
+
+def _break_titles(figure: Figure) -> bool:
+    """Break titles that run off the figure or into the next panel; whether there were any.
+
+    A layout keeps room for the height of a title, not for its length.
+    """
+    boxes = [axes.get_window_extent() for axes in figure.axes]
+    broken = False
+    for axes, box in zip(figure.axes, boxes, strict=True):
+        line = axes.get_title(loc="left")
+        if not line or "\n" in line:
+            continue
+        beside = [b for b in boxes if b.x0 > box.x1 and b.y0 < box.y1 and box.y0 < b.y1]
+        # left of a panel is its letter; what is narrow is a colour bar
+        ends = [b.x0 - _LETTER * figure.dpi for b in beside if b.width > 0.3 * box.width]
+        room = min([figure.bbox.x1, *ends]) - box.x0
+        length = axes.set_title(line, loc="left").get_window_extent().width
+        end = line.rfind(" ", 0, int(len(line) * room / length) + 1) if length > room else 0
+        if end > 0:
+            axes.set_title(f"{line[:end]}\n{line[end + 1 :]}", loc="left")
+            broken = True
+    return broken
 
 
 def width_in_mm(width: Width) -> float:
@@ -260,7 +309,8 @@ def draw_map(
             bar = figure.colorbar(mesh, **beside, ticks=range(len(named)))
             shares = [area_mean(field == k) for k in range(len(named))]
             rows = zip(named, shares, strict=True)
-            bar.ax.set_yticklabels([f"{name}\n{percent(share)}" for name, share in rows])
+            between = "\n" if _is_high(axes, 2 * len(named)) else " "
+            bar.ax.set_yticklabels([f"{name}{between}{percent(share)}" for name, share in rows])
             bar.ax.tick_params(length=0)
         else:
             seen = values[np.isfinite(values)]
@@ -316,6 +366,17 @@ def _beside(axes: Axes) -> dict[str, Any]:
     return {"cax": axes.inset_axes((1.04, (1.0 - height) / 2, width, height))}
 
 
+def _is_high(axes: Axes, lines: int) -> bool:
+    """Whether so many lines of small text fit beside a map, as wide as its room lets it be."""
+    import matplotlib
+
+    figure: Any = axes.get_figure(root=True)
+    box = axes.get_window_extent()
+    aspect = float(np.ptp(axes.get_ylim()) / np.ptp(axes.get_xlim()))
+    line = 1.4 * float(matplotlib.rcParams["ytick.labelsize"]) / 72 * figure.dpi
+    return bool(min(box.height, box.width * aspect) >= lines * line)
+
+
 def hatch_edges(axes: Axes, maps: xr.Dataset) -> None:
     """Hatch the part of a map of the computational method where the layer's sides matter.
 
@@ -332,12 +393,30 @@ def hatch_edges(axes: Axes, maps: xr.Dataset) -> None:
     if bool((values > NOTABLE).mean() > _ALL):
         axes.set_xlabel(f"{axes.get_xlabel()}\nsides matter everywhere (> {100 * NOTABLE:g} %)")
         return
-    options: Any = {"levels": [NOTABLE, np.inf], "colors": "none", "hatches": ["////"]}
-    drawn = axes.contourf(values["x"], values["y"], values, **options)
-    drawn.set_edgecolor(_HATCH)
-    drawn.set_linewidth(0.0)
-    axes.contour(values["x"], values["y"], values, [NOTABLE], colors=_HATCH, linewidths=0.5)
+    _hatch(axes, values, NOTABLE, "////", _HATCH)
     axes.set_xlabel(f"{axes.get_xlabel()}\nhatched: sides matter (> {100 * NOTABLE:g} %)")
+
+
+def hatch_interpolated(panels: Iterable[Axes], maps: xr.Dataset) -> list[Patch]:
+    """Hatch what was interpolated instead of measured in maps, and return its key for a legend."""
+    from matplotlib.patches import Patch
+
+    if "filled" not in maps or not bool((filled := maps["filled"].fillna(0) > 0).any()):
+        return []
+    filled = filled.transpose("y", "x").astype(float)
+    for axes in panels if min(filled.shape) > 1 else ():
+        _hatch(axes, filled, 0.5, "\\\\\\\\", _INTERPOLATED)
+    look: Any = {"facecolor": "none", "edgecolor": _INTERPOLATED, "hatch": "\\\\\\\\"}
+    return [Patch(label="interpolated", linewidth=0.5, **look)]
+
+
+def _hatch(axes: Axes, values: xr.DataArray, above: float, hatch: str, colour: str) -> None:
+    """Hatch where a map is above a value, and outline that."""
+    place = values["x"], values["y"], values
+    drawn = axes.contourf(*place, levels=[above, np.inf], colors="none", hatches=[hatch])
+    drawn.set_edgecolor(colour)
+    drawn.set_linewidth(0.0)
+    axes.contour(*place, [above], colors=colour, linewidths=0.5)
 
 
 def _equal_ticks(axes: Axes) -> None:
@@ -549,6 +628,9 @@ def write_maps(
                 regions=regions,
                 frame=frame,
             )
+        seen = [axes for axes, what in zip(panels, terms.values(), strict=False) if what.has_limits]
+        if key := hatch_interpolated(seen, maps):
+            figure.legend(handles=key, loc="outside lower right")
         for axes in panels[len(names) :]:
             axes.remove()
         for k, axes in enumerate(panels[: len(names)]):

@@ -18,6 +18,7 @@ from optical_palpation.present.figure import (
     figure_file,
     finest,
     hatch_edges,
+    hatch_interpolated,
     letter,
     width_in_mm,
 )
@@ -42,8 +43,9 @@ def write_panel(result: StressResult, path: str | Path, width: Width = "double")
     the few extreme values at the free edges do not hide the rest. Of a sample in the model its
     Young's modulus, left white where nothing is known of it, and the 95 % band of the stress. Where
     the layer's sides change the contact pressure by more than 5 % the map of the computational
-    method is hatched. Thickness and algebraic stress have the resolution of the image, not that of
-    the elements.
+    method is hatched; where the thickness was interpolated, its map and that of the algebraic
+    method are. Thickness and algebraic stress have the resolution of the image, not that of the
+    elements.
 
     Parameters
     ----------
@@ -128,8 +130,10 @@ def draw_panel(maps: xr.Dataset, figure: Figure, pixels: xr.Dataset | None = Non
     for axis, profile, measured in both:
         _plot_profile(axes[axis.upper()], axis, profile, measured, methods)
     # below the profiles: within them it would lie on a curve or on an error band
-    handles = axes["X"].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside lower center", ncols=len(handles[0]))
+    # not in the map of the computational method, where the influence of the sides is hatched
+    gaps = [axes[place] for place in "TA" if place in axes]
+    handles = [*axes["X"].get_lines(), *hatch_interpolated(gaps, maps)]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     letter([axes[place] for place in dict.fromkeys("".join(rows))])
 
 

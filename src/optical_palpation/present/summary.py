@@ -226,9 +226,11 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
     ]
     if np.isfinite(modulus).any():
         low, middle, high = np.nanpercentile(modulus, [5, 50, 95])
+        band = middle * np.nanmedian(error)
+        ends = " ... ".join(rounded(end, band).split()[0] for end in (low, high))
         lines.append(
-            f"Young's modulus of the sample: median {middle:.3g} kPa, 90 % of the map within "
-            f"{low:.3g} ... {high:.3g} kPa, 95 % band ±{percent(np.nanmedian(error))} (median), "
+            f"Young's modulus of the sample: median {rounded(middle, band)} kPa, 90 % of the map "
+            f"within {ends} kPa, 95 % band ±{percent(np.nanmedian(error))} (median), "
             f"known on {percent(np.isfinite(modulus).mean())} of the map"
         )
     if "sample_relief" in maps and maps["sample_relief"].notnull().any():
@@ -247,12 +249,12 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
     return lines
 
 
-def _within_map(attrs: Mapping[Hashable, Any]) -> str:
-    """Say what part of the force acts within the map, where the layer is notably larger."""
+def within_map(attrs: Mapping[Hashable, Any]) -> str:
+    """Say what part of the force acts within the map, where the layer is larger; else ""."""
     within, force = attrs.get("map_force_mN"), attrs.get("sample_force_mN")
     if within is None or not force or abs(within / force - 1) < _NOTABLE_BEYOND:
         return ""
-    return f"; within the map {rounded(within, force_error(attrs))} mN"
+    return f"{rounded(within, force_error(attrs))} mN"
 
 
 def of_series(series: xr.Dataset) -> str:
@@ -322,7 +324,10 @@ def summarise(result: StressResult) -> str:
     if "submodel_region_mm" in maps.attrs:
         lines += _submodel(maps.attrs)
     elif forces:
-        lines.append("total force: " + ", ".join(forces) + _within_map(maps.attrs))
+        within = within_map(maps.attrs)
+        lines.append(
+            "total force: " + ", ".join(forces) + f"; within the map {within}" * bool(within)
+        )
     if "force_mesh_error_mN" in maps.attrs:
         said = mesh_error(maps.attrs)
         if "accuracy" in maps.attrs:

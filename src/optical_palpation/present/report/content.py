@@ -30,6 +30,7 @@ from optical_palpation.present.summary import (
     stress_error,
     stress_figures,
     touching_share,
+    within_map,
 )
 from optical_palpation.present.tables import region_figure
 from optical_palpation.present.terms import (
@@ -356,6 +357,8 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
         for side in ("window", "sample")
         if (key := f"{side}_force_mN") in attrs
     ]
+    if "submodel_region_mm" not in attrs and (within := within_map(attrs)):
+        rows.append(("Within the map", within))
     if result.series is not None:
         rows.append(("Travel of the plate and force at each load", of_series(result.series)))
     if "force_balance" in attrs:
@@ -432,9 +435,11 @@ def _thickness_errors(attrs: Mapping[Any, Any]) -> dict[str, float]:
     """Errors of both thicknesses, mm, that the error bands rest on; empty where there are none."""
     try:
         given = json.loads(attrs.get("input_errors", "{}"))
+        bands = json.loads(attrs.get("error_bands", "{}"))  # of a sample in the model
+        given |= {name: band["half_width"] for name, band in bands.items()}
         names = {"unloaded": "initial_thickness", "loaded": "thickness"}
         return {state: float(given[name]) for state, name in names.items() if name in given}
-    except (TypeError, ValueError, AttributeError):  # a result that other software wrote
+    except (TypeError, KeyError, ValueError, AttributeError):  # a result that other software wrote
         return {}
 
 

@@ -48,6 +48,21 @@ function ticks(low, high, count) {
   return found.length < 2 && count < 100 ? ticks(low, high, 2 * count) : found;
 }
 
+// Power of a thousand to take out of numbers that would else reach the label of their axis.
+function factor(values) {
+  const longest = Math.max(...values.map((value) => shown(value).replace(".", "").length));
+  const most = Math.max(...values.map(Math.abs));
+  return longest > 4 ? 3 * Math.floor(Math.log10(most) / 3 + 1e-9) : 0;
+}
+
+// The label of an axis with the power in its unit.
+function scaled(label, power) {
+  const signs = "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079";
+  const raised = String(power).replace(/./g, (sign) => signs["-0123456789".indexOf(sign)]);
+  const [, words, unit] = label.match(/^(.*) \(([^(]*)\)$/) ?? [label, label, ""];
+  return `${words} (${`10${raised} ${unit}`.trim()})`;
+}
+
 // Pixels for which plots are laid out on paper, which is narrower than the screen: were the plots of
 // the screen scaled down to it, their text would be too small to read. Their canvas stays that of the
 // screen: Chromium puts what is painted while it prints in the wrong place.
@@ -149,15 +164,19 @@ class Plot {
       if (this.gridded) parts.push(line("grid", at, top, at, bottom));
       parts.push(line("frame", at, bottom, at, bottom + 4), text(value, at, bottom + 16));
     }
-    for (const value of ticks(...y.range, clamp(this.height / 45, 2, 8))) {
+    const values = ticks(...y.range, clamp(this.height / 45, 2, 8));
+    const power = factor(values);
+    for (const value of values) {
       const at = this.toY(value);
+      const number = Number((value / 10 ** power).toPrecision(12));
       if (this.gridded) parts.push(line("grid", left, at, left + this.width, at));
-      parts.push(line("frame", left - 4, at, left, at), text(value, left - 6, at + 4, "end"));
+      parts.push(line("frame", left - 4, at, left, at), text(number, left - 6, at + 4, "end"));
     }
+    const label = power ? scaled(y.label, power) : y.label;
     parts.push(
       svg("rect", { class: "frame", x: left, y: top, width: this.width, height: this.height }),
       text(x.label, left + this.width / 2, bottom + 31),
-      text(y.label, 0, 0, "middle", `translate(11 ${top + this.height / 2}) rotate(-90)`),
+      text(label, 0, 0, "middle", `translate(11 ${top + this.height / 2}) rotate(-90)`),
     );
     this.scenery.replaceChildren(...parts);
   }
