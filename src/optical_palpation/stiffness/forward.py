@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator, make_interp_spline
@@ -102,9 +103,9 @@ def carried(values: Array, of: LayerGrid, to: LayerGrid) -> Array:
     return _linear(of.y, to.y) @ values @ _linear(of.x, to.x).T
 
 
-def carrying(of: LayerGrid, to: LayerGrid) -> Array:
+def carrying(of: LayerGrid, to: LayerGrid) -> sp.csr_matrix:
     """Matrix of ``carried`` for values in one row."""
-    return np.asarray(np.kron(_linear(of.y, to.y), _linear(of.x, to.x)), dtype=float)
+    return sp.csr_matrix(sp.kron(_linear(of.y, to.y), _linear(of.x, to.x)))
 
 
 def _linear(nodes: Array, points: Array) -> Array:

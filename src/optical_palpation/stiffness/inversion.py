@@ -215,16 +215,56 @@ def invert(
 class _System:
     """A linearised problem of least squares.
 
-    ``jacobian`` (loads x nodes, sought) of the misfit, ``weight`` of the nodes; ``by_force``
-    (loads, sought) are the derivatives of the total forces and ``off`` what these are off by, both
-    times their weight; no loads where travels are given.
+    The derivative of the misfit is that of the coarse mesh, ``thickness`` of each load (coarse
+    nodes, sought), times what brings it to the nodes, ``carry`` (nodes, coarse nodes): apart, they
+    are far smaller than together. ``weight`` is that of the misfit; ``by_force`` (loads, sought)
+    are the derivatives of the total forces and ``off`` what these are off by, both times their
+    weight; no loads where travels are given.
     """
 
-    jacobian: Array
+    thickness: Sequence[Array]
+    carry: sp.csr_matrix
     misfit: Array
     weight: Array
     by_force: Array
     off: Array
+
+    @property
+    def left(self) -> Array:
+        """Weighted misfit, (loads x nodes)."""
+        return (self.weight * self.misfit).ravel()
+
+    def change(self, step: Array) -> Array:
+        """Change of the weighted misfit by a step."""
+        return self.weight.ravel() * np.concatenate(
+            [self.carry @ (s @ step) for s in self.thickness]
+        )
+
+    def normal(self) -> Array:
+        """Matrix of the normal equations without smoothing, (sought, sought)."""
+        out = self.by_force.T @ self.by_force
+        for by_sought, weight in zip(self.thickness, self.weight, strict=True):
+            weighted = sp.diags_array(weight.ravel()) @ self.carry
+            out += by_sought.T @ ((weighted.T @ weighted) @ by_sought)
+        return np.asarray(out)
+
+    def falling(self) -> Array:
+        """Direction in which the squares of what is left fall, (sought)."""
+        left = np.split((self.weight**2 * self.misfit).ravel(), len(self.thickness))
+        out = -self.by_force.T @ self.off
+        for by_sought, part in zip(self.thickness, left, strict=True):
+            out -= by_sought.T @ (self.carry.T @ part)
+        return np.asarray(out)
+
+    def gain(self, covariance: Array) -> Array:
+        """How what is sought answers to the thickness, (sought, loads x nodes)."""
+        return np.concatenate(
+            [
+                (covariance @ by_sought.T) @ (self.carry.T @ sp.diags_array(weight.ravel() ** 2))
+                for by_sought, weight in zip(self.thickness, self.weight, strict=True)
+            ],
+            axis=1,
+        )
 
 
 class _Search:
@@ -248,8 +288,6 @@ class _Search:
         #: Standard deviation of each measured surface at a node.
         self.noise = np.array([m.noise / np.sqrt(m.pixels) for m in measured])[:, None, None]
         self.solutions: list[tuple[int, float]] = []
-        #: The last system, and its normal equations without smoothing.
-        self._kept: tuple[_System, Array] | None = None
         #: Number of the last alpha.
         self.weakness = len(_ALPHAS) // 2
         travels = unknown * len(measured)
@@ -265,6 +303,7 @@ class _Search:
         """Steps on the coarse mesh, down to about the errors of that."""
         before = step = None
         best = np.inf, row
+        here = carrying(self.coarse.layer, self.coarse.layer)
         for n in range(_TRAVELLING_STEPS if self.order.travels else _COARSE_STEPS):
             pressed, row = self._pressed(self.coarse, before, step, row)
             misfit = self._misfit(pressed)
@@ -280,8 +319,7 @@ class _Search:
             if np.hypot(left, off) < best[0]:
                 best = float(np.hypot(left, off)), row
             sensitivities = self._sensitivities(pressed)
-            jacobian = np.concatenate([s.thickness for s in sensitivities])
-            system = self._system(jacobian, sensitivities, misfit, weight, pressed)
+            system = self._system(sensitivities, here, misfit, weight, pressed)
             step, _, _ = self._step(system, row)
             before, row = row, row + step
         # A force that no travel makes goes with steps to and fro.
@@ -296,13 +334,11 @@ class _Search:
         before = step = None
         best: tuple[Array, list[Pressed], Array] | None = None
         sensitivities: list[Sensitivity] = []
-        jacobian = np.zeros(0)
         for _ in range(_FINE_STEPS + 1):
             pressed, row = self._pressed(self.fine, before, step, row)
             own, rough = self._misfit(pressed), self.coarse.pressed(self.order.read(row))
             if best is None:
                 sensitivities = self._sensitivities(rough)
-                jacobian = np.concatenate([self.carry @ s.thickness for s in sensitivities])
             of_mesh, tolerance = self._error_of_mesh(own, self._misfit(rough))
             misfit = own + of_mesh
             weight = self._weight(pressed, tolerance)
@@ -319,7 +355,7 @@ class _Search:
                 best = row, pressed, own
             if not gained or max(left, off) <= 1.0:
                 break
-            system = self._system(jacobian, sensitivities, misfit, weight, pressed)
+            system = self._system(sensitivities, self.carry, misfit, weight, pressed)
             step, _, _ = self._step(system, row, _UNKNOWN * left)
             change = step[: self.order.of_travels.start].copy()
             change[self.order.of_relief] /= self.thickness
@@ -330,7 +366,7 @@ class _Search:
         row, pressed, own = best
         misfit = own + of_mesh
         weight = self._weight(pressed, tolerance)
-        system = self._system(jacobian, sensitivities, misfit, weight, pressed)
+        system = self._system(sensitivities, self.carry, misfit, weight, pressed)
         _, alpha, factor = self._step(system, row)
         covariance = _inverse(factor)
         return Estimate(
@@ -340,7 +376,7 @@ class _Search:
             misfit=misfit,
             tolerance=tolerance,
             measured=weight > 0,
-            gain=covariance @ (jacobian * weight.reshape(-1, 1) ** 2).T,
+            gain=system.gain(covariance),
             gain_by_force=covariance @ system.by_force.T * self._per_force(weight),
             covariance=covariance,
             sensitivities=sensitivities,
@@ -397,19 +433,20 @@ class _Search:
 
     def _system(
         self,
-        jacobian: Array,
         sensitivities: list[Sensitivity],
+        carry: sp.csr_matrix,
         misfit: Array,
         weight: Array,
         pressed: list[Pressed],
     ) -> _System:
+        thickness = [s.thickness for s in sensitivities]
         if not self.forces.size:
             nothing = np.zeros((0, self.order.size))
-            return _System(jacobian, misfit, weight, nothing, np.zeros(0))
+            return _System(thickness, carry, misfit, weight, nothing, np.zeros(0))
         per_force = self._per_force(weight)
         off = (np.array([p.force for p in pressed]) - self.forces) * per_force
         by_force = np.stack([s.force for s in sensitivities]) * per_force[:, None]
-        return _System(jacobian, misfit, weight, by_force, off)
+        return _System(thickness, carry, misfit, weight, by_force, off)
 
     def _off(self, pressed: list[Pressed]) -> Array:
         """What the total forces are off by, over their tolerance; none where travels are given."""
@@ -424,22 +461,6 @@ class _Search:
         """
         return np.sqrt(np.count_nonzero(weight)) / (_FORCE * self.forces)
 
-    def _normal(self, system: _System, weighted: Array) -> Array:
-        """Return the matrix of the normal equations without smoothing.
-
-        On the fine mesh it is mostly that of the step before.
-        """
-        kept = self._kept
-        if (
-            kept is None
-            or kept[0].jacobian is not system.jacobian
-            or not np.array_equal(kept[0].weight, system.weight)
-            or not np.array_equal(kept[0].by_force, system.by_force)
-        ):
-            normal = weighted.T @ weighted + system.by_force.T @ system.by_force
-            kept = self._kept = system, normal
-        return kept[1]
-
     def _step(
         self, system: _System, row: Array, unknown: float = 0.0
     ) -> tuple[Array, float, tuple[Array, bool]]:
@@ -448,10 +469,7 @@ class _Search:
         ``unknown`` is what the linear model does not know of what a step leaves.
         """
         sought, order = self.order.read(row), self.order
-        weighted = system.weight.reshape(-1, 1) * system.jacobian
-        normal = self._normal(system, weighted)
-        left = (system.weight * system.misfit).ravel()
-        rhs = -weighted.T @ left - system.by_force.T @ system.off
+        normal, left, falling = system.normal(), system.left, system.falling()
         # in units of what the data say of each kind
         parts, held = [], np.zeros(len(row))
         rough = [(order.of_stiffness, _roughness(order.columns, sought.stiffness, self.thickness))]
@@ -471,8 +489,8 @@ class _Search:
             matrix = normal.copy()
             matrix[added.row, added.col] += added.data
             factor = cho_factor(matrix)
-            step = cho_solve(factor, rhs - alpha * uneven)
-            return step, _left(left + weighted @ step, system.weight), factor
+            step = cho_solve(factor, falling - alpha * uneven)
+            return step, _left(left + system.change(step), system.weight), factor
 
         if self.smoothing is not None:
             alpha = self.smoothing
