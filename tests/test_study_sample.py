@@ -247,6 +247,8 @@ def test_an_unstable_law_is_refused(given):
         ("thickness = 1.0", "thickness = 2000.0", "divide by 1000 if it is in um"),
         ("thickness = 0.5", "thickness = 0.3", "nowhere thinner|nothing is pressed"),
         ("[sample]", "[sample]\nsize = [3000.0, 3000.0]", "size: the field of view"),
+        ("element_size = 0.25", "element_size = 0.4", "larger than an eighth of the smaller"),
+        ("[sample]", "[sample]\nsize = [3.0, 1.9]", "along y, 0.2375 mm"),
         ("[sample]", "[sample]\nrelief = 'narrow.nc'", "the relief spans x 0 to 2 mm"),
         ("[sample]", "[sample]\nrelief = 'gap.nc'", "the relief has 3 missing values"),
         ("[sample]", "[sample]\nrelief = 'high.nc'", "relief is 4 mm from its lowest"),

@@ -15,6 +15,8 @@ from optical_palpation.material import Law
 from optical_palpation.palpation.plausibility import LARGEST_MEAN_STRESS, WIDEST_FIELD
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
 
+#: By how much larger elements are, at least, of the mesh on which sensitivities are computed.
+COARSER = 2.0
 #: Share of the sample's thickness by which it can be compressed at most.
 _MOST_COMPRESSED = 0.7
 #: Loads must differ by this share of the travel, or force, at least.
@@ -237,6 +239,26 @@ def _check_force(force: float, loaded: xr.DataArray, initial: xr.DataArray, laye
 def _check_number(name: str, value: Any) -> None:
     if not (isinstance(value, int | float | np.number) and np.isfinite(value)):
         raise InputError(f"sample: {name} must be a number, not {value!r}")
+
+
+def check_sample_elements(
+    element_size: float, layer: tuple[float, float], sample: tuple[float, float] | None
+) -> None:
+    """Refuse elements (mm) that are too large for the widths of layer and sample along x and y.
+
+    Raises
+    ------
+    InputError
+        Naming the axis and the limit.
+    """
+    for axis, *widths in zip("xy", layer, sample or layer, strict=True):
+        limit = 0.25 * min(widths) / COARSER
+        if element_size > limit * (1 + 1e-9):
+            raise InputError(
+                f"the element size, {element_size:g} mm, is larger than an eighth of the smaller "
+                f"of layer and sample along {axis}, {limit:g} mm: a mesh {COARSER:g} times as "
+                "coarse is solved beside it; give a smaller one (it is in mm)"
+            )
 
 
 def _check_shape(sample: Sample, loaded: xr.DataArray) -> None:

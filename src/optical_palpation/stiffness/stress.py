@@ -34,16 +34,21 @@ from optical_palpation.stiffness.forward import Columns, Model, Sought, meshes_o
 from optical_palpation.stiffness.inversion import Estimate, invert
 from optical_palpation.stiffness.maps import as_rigid, sample_result
 from optical_palpation.stiffness.measurement import ThicknessSurface, without_noise
-from optical_palpation.stiffness.sample import Sample, as_loads, check_sample
+from optical_palpation.stiffness.sample import (
+    COARSER,
+    Sample,
+    as_loads,
+    check_sample,
+    check_sample_elements,
+)
 from optical_palpation.thickness.cleaning import clean_thickness
 from optical_palpation.thickness.frames import layer_extent_of, on_grid, smooth_map
 from optical_palpation.thickness.initial import match_initial_thickness
 
 Array = NDArray[np.float64]
 
-#: Elements of the mesh on which sensitivities are computed, at most, and by how much larger they
-#: are than the finest ones, at least.
-_COARSE_ELEMENTS, _COARSER = 5000, 2.0
+#: Elements of the mesh on which sensitivities are computed, at most.
+_COARSE_ELEMENTS = 5000
 #: Misfit, as a multiple of noise and mesh error, above which the model does not fit.
 _NO_FIT = 5.0
 #: The same as a share of the indentation, where the mesh is too coarse to tell.
@@ -136,6 +141,7 @@ def sample_stress(
     if input_errors is not None:
         input_errors.check_thickness(thickness)
     check_elements(element_size, (x1 - x0, y1 - y0), thickness, "the thickness of the layer")
+    check_sample_elements(element_size, (x1 - x0, y1 - y0), sample.size)
     blocks = Blocks(
         extent=extent,
         thickness=smooth_map(without_noise(initial, element_size)),
@@ -229,7 +235,7 @@ def _columns(blocks: Blocks, size: float) -> Columns:
 
 def _models(blocks: Blocks, mesh: Mesh, columns: Columns, thickness: float) -> tuple[Model, Model]:
     """The model on the finest mesh and on a coarse one, for sensitivities."""
-    factor = _COARSER
+    factor = COARSER
     while count_elements(blocks, mesh.coarser(factor, thickness)) > _COARSE_ELEMENTS:
         factor *= 1.1
     coarser = mesh.coarser(factor, thickness)

@@ -16,12 +16,12 @@ from optical_palpation.palpation.plausibility import (
     check_field,
     check_layer,
 )
-from optical_palpation.stiffness import check_sample
+from optical_palpation.stiffness import check_sample, check_sample_elements
 from optical_palpation.study.compute import thickness_of
 from optical_palpation.study.inputs import by_side, earlier_loads, modelled_sample, read_motion
 from optical_palpation.study.schema import MapInput, NumberInput, Study, VolumeInput
 from optical_palpation.thickness import read_corrections, read_thickness_map
-from optical_palpation.thickness.frames import EXTENT_SLACK
+from optical_palpation.thickness.frames import EXTENT_SLACK, layer_extent_of
 from optical_palpation.thickness.initial import check_depth
 
 
@@ -126,6 +126,9 @@ def _check_sample(study: Study) -> None:
     try:
         loads = [*earlier_loads(study), thickness["loaded_thickness"]]
         check_sample(sample, loads, thickness["initial_thickness"], study.material.make())
+        x0, x1, y0, y1 = layer_extent_of(loads[-1])
+        if isinstance(size := study.grid.element_size, float):
+            check_sample_elements(size, (x1 - x0, y1 - y0), sample.size)
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
 
