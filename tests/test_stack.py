@@ -149,6 +149,25 @@ def test_the_path_of_a_similar_stack_shortens_the_way_and_leaves_the_answer():
         assert [state.load for state in path] == [0.0] * (n == 0) + loads
 
 
+def test_a_guide_that_ends_before_the_path_does_is_gone_beyond():
+    """Meshes are changed at half of the first load that is asked for: there the guide ends."""
+    scene = Scene.model_validate(SCENE)
+    levels = [build(scene, coarsening=1.5), build(scene)]
+    paths = solve(levels, stops=(0.2,)).paths
+    count = 0
+
+    def report(*_):
+        nonlocal count
+        count += 1
+        assert count < 300, "it never arrives"
+
+    guided = solve(levels, report, stops=(0.4,), similar=paths)
+    assert paths[0][-1].load < guided.paths[0][-1].load
+    assert [state.load for state in guided.stops] == [0.4]
+    forces = [np.concatenate(each.state.forces) for each in (guided, solve(levels, stops=(0.4,)))]
+    assert np.linalg.norm(forces[1] - forces[0]) < 2e-3 * np.linalg.norm(forces[0])
+
+
 def test_grids_that_do_not_fit_are_refused():
     assembly = build(Scene.model_validate(SCENE))
     layer, sample = assembly.bodies

@@ -7,7 +7,7 @@ then moves as if in honey until it is at rest (``Path.settle``).
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Protocol, Self, TypeVar
@@ -182,11 +182,16 @@ class Guide(Generic[AnyState]):
         return state.following(self.at(state.load), self.at(load))
 
     def at(self, load: float) -> AnyState:
-        """Interpolate the state at a load; where it moved at that load, after that."""
+        """Interpolate the state at a load; where it moved at that load, after that.
+
+        Beyond the last load it is on the straight line through the last two.
+        """
         after = bisect_right(self.loads, load)
         before = self.state(after - 1)
-        if before.load == load or after == len(self.loads):
+        if before.load == load:
             return before
+        if after == len(self.loads):
+            return before.towards(self.state(bisect_left(self.loads, before.load) - 1), load)
         return before.towards(self.state(after), load)
 
 

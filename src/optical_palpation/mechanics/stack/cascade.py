@@ -96,7 +96,7 @@ def _path(
     guide: Guide[State] | None = None,
 ) -> Path[State]:
     """Return a load path from a state on."""
-    if guide and guide.loads[0] > state.load:
+    if guide and (guide.loads[0] > state.load or guide.loads[0] == guide.loads[-1]):
         guide = None
 
     def on_iteration(load: float, iteration: int, now: Balance, krylov: int) -> None:
