@@ -334,16 +334,22 @@ class _Search:
         before = step = None
         best: tuple[Array, list[Pressed], Array] | None = None
         sensitivities: list[Sensitivity] = []
+        of_mesh = tolerance = np.zeros(0)
         for _ in range(_FINE_STEPS + 1):
             pressed, row = self._pressed(self.fine, before, step, row)
-            own, rough = self._misfit(pressed), self.coarse.pressed(self.order.read(row))
-            if best is None:
-                sensitivities = self._sensitivities(rough)
-            of_mesh, tolerance = self._error_of_mesh(own, self._misfit(rough))
+            own = self._misfit(pressed)
+            try:
+                rough = self.coarse.pressed(self.order.read(row))
+            except LoadNotReached:
+                if best is None:
+                    raise
+            else:  # otherwise the error of the mesh is that of the step before
+                self.solutions.append((rough[-1].stack.n_elements, np.nan))
+                sensitivities = sensitivities or self._sensitivities(rough)
+                of_mesh, tolerance = self._error_of_mesh(own, self._misfit(rough))
             misfit = own + of_mesh
             weight = self._weight(pressed, tolerance)
             left = _left(weight * misfit, weight)
-            self.solutions.append((rough[-1].stack.n_elements, np.nan))
             self.solutions.append((pressed[-1].stack.n_elements, left))
             off = _rms(self._off(pressed))
             whole = least = float(np.hypot(left, off))
