@@ -250,7 +250,7 @@ class _System:
 
     def falling(self) -> Array:
         """Direction in which the squares of what is left fall, (sought)."""
-        left = np.split((self.weight**2 * self.misfit).ravel(), len(self.thickness))
+        left = np.split(self.weight.ravel() * self.left, len(self.thickness))
         out = -self.by_force.T @ self.off
         for by_sought, part in zip(self.thickness, left, strict=True):
             out -= by_sought.T @ (self.carry.T @ part)
@@ -352,14 +352,14 @@ class _Search:
             left = _left(weight * misfit, weight)
             self.solutions.append((pressed[-1].stack.n_elements, left))
             off = _rms(self._off(pressed))
-            whole = least = float(np.hypot(left, off))
+            whole, least = np.hypot(left, off), np.inf
             if best is not None:
-                was = _left(self._weight(best[1], tolerance) * (best[2] + of_mesh), weight)
-                least = float(np.hypot(was, _rms(self._off(best[1]))))
-            gained = best is None or whole < _NO_GAIN * least
-            if best is None or whole < least:
+                _, before_it, its_own = best
+                was = _left(self._weight(before_it, tolerance) * (its_own + of_mesh), weight)
+                least = np.hypot(was, _rms(self._off(before_it)))
+            if whole < least:
                 best = row, pressed, own
-            if not gained or max(left, off) <= 1.0:
+            if whole >= _NO_GAIN * least or max(left, off) <= 1.0:
                 break
             system = self._system(sensitivities, self.carry, misfit, weight, pressed)
             step, _, _ = self._step(system, row, _UNKNOWN * left)
