@@ -38,7 +38,7 @@ from optical_palpation.stiffness.measurement import ThicknessSurface
 Array = NDArray[np.float64]
 
 #: Steps on the coarse mesh and on the finest one at most; more on the coarse one towards a travel.
-_COARSE_STEPS, _FINE_STEPS = 3, 4
+_COARSE_STEPS, _FINE_STEPS = 3, 3
 _TRAVELLING_STEPS = 8
 #: What the coarse mesh may leave, as a share of the indentation: more than that is its own error.
 _COARSE_ERROR = 0.02
