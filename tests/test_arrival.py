@@ -129,6 +129,43 @@ def test_before_anything_is_loaded_nothing_snaps():
     assert loaded.reached[1] <= 0.003
 
 
+class Flickers:
+    """Its last iterates flicker about an equilibrium, with a share ``left`` out of balance."""
+
+    stiffness = 1.0
+
+    def __init__(self, left):
+        self.left, self.drags = left, 0
+
+    def equilibrate(self, trial, tolerances, on_iteration, drag):
+        self.drags += drag is not None
+        if drag is not None or trial.load == 1.0:
+            failure = NotConverged("stagnates")
+            failure.nearest = SimpleNamespace(state=trial, force_error=self.left), 9
+            raise failure
+        return SimpleNamespace(state=trial), 3
+
+    def remember(self, state):
+        return state
+
+    def contact_forces(self, state):
+        return []
+
+
+def test_what_flickers_next_to_equilibrium_is_taken_as_it_is():
+    """No smaller load and no drag bring nearer what changes for ever at a few nodes."""
+    loaded = Flickers(0.5 * path.NEARLY[0])
+    way = path.Path(loaded, TOLERANCES, TOLERANCES, Touched())
+    way.follow(Touched(1.0))
+    assert way.state.load == 1.0
+    assert way.record[-1][1] == 9
+    assert loaded.drags == 0
+    loaded = Flickers(2.0 * path.NEARLY[0])
+    with pytest.raises(path.LoadNotReached):
+        path.Path(loaded, TOLERANCES, TOLERANCES, Touched()).follow(Touched(1.0))
+    assert loaded.drags > 0
+
+
 def disturbed(result):
     """The load path of a result, its full load reached, with the inner nodes out of place."""
     problem, start = result.problem, result.state.copy()

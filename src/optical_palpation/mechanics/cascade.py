@@ -365,22 +365,24 @@ class _Nested:
         tuple
             The state nearest to equilibrium, and whether it is one.
         """
-        best: list[tuple[Balance, int]] = []
+        least = np.inf
 
-        def keep(iteration: int, now: Balance, krylov: int) -> None:
+        def report(iteration: int, now: Balance, krylov: int) -> None:
+            nonlocal least
             if self.on_iteration:
                 self.on_iteration(level, state.load, iteration, now, krylov)
-            if not best or now.force_error < best[0][0].force_error:
-                best[:] = [(now, iteration)]
-            elif best[0][0].force_error < nearly:
+            if least < min(nearly, now.force_error):
                 raise NotConverged("the error grows again, nearly in equilibrium")
+            least = min(least, now.force_error)
 
         linear = make_solver(level, self.solver)
         due = CARRIED if level.grid.n_elements > _QUICK else None
         try:
-            now, count = equilibrate(level, state, linear, impatient(wanted), keep, eliminate=due)
-        except NotConverged:
-            now, count = best[0]
+            now, count = equilibrate(level, state, linear, impatient(wanted), report, eliminate=due)
+        except NotConverged as failure:
+            if failure.nearest is None:
+                raise
+            now, count = failure.nearest
             if now.force_error >= nearly:
                 return now.state, False
         self.record.append((level.grid.n_elements, state.load, count))

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 
 class NotConverged(Exception):
-    """Newton's method failed at this load; carries the reason."""
+    """Newton's method failed at this load; carries the reason.
+
+    ``nearest`` is the iterate that was nearest to equilibrium, and its number.
+    """
+
+    nearest: tuple[Any, int] | None = None
 
 
 class HardSystem(NotConverged):
@@ -137,41 +142,48 @@ def iterate(
     """
     errors: list[float] = []
     imbalances: list[float] = []
+    nearest, number = now, 0
     damping, krylov = 0.0, 0
-    for iteration in range(tolerances.iterations):
-        if on_iteration:
-            on_iteration(iteration, now, krylov)
-        errors.append(now.force_error)
-        imbalances.append(now.imbalance)
-        patience = tolerances.patience
-        if iteration >= patience and min(errors[-patience:]) > 0.3 * errors[-1 - patience]:
-            raise NotConverged("Newton's method stagnates")
-        if iteration > 0 and met(now, tolerances):
-            return now, iteration
-        if eliminate:
-            now = eliminate(now, errors) or now
+    try:
+        for iteration in range(tolerances.iterations):
+            if on_iteration:
+                on_iteration(iteration, now, krylov)
+            errors.append(now.force_error)
+            imbalances.append(now.imbalance)
+            if now.force_error < nearest.force_error:
+                nearest, number = now, iteration
+            patience = tolerances.patience
+            if iteration >= patience and min(errors[-patience:]) > 0.3 * errors[-1 - patience]:
+                raise NotConverged("Newton's method stagnates")
             if iteration > 0 and met(now, tolerances):
                 return now, iteration
-        krylov = 0
-        for _ in range(_ATTEMPTS):
-            step = linearise(now, damping)
-            krylov += step.krylov
-            # The first step crosses the new load and a damped one a snap: both may leave more out
-            # of balance than they found.
-            lenient = iteration == 0 or damping > 0
-            after = _search(now, step, max(imbalances[-_MEMORY:]), lenient)
-            if after is not None:
-                break
-            damping = max(least_damping, 5.0 * damping)
-        else:
-            raise NotConverged("no step leads nearer to equilibrium")
-        damping *= 0.5 * min(1.0, after.imbalance / now.imbalance)
-        if damping < 0.1 * least_damping:
-            damping = 0.0
-        now = after
-    if met(now, tolerances):
-        return now, tolerances.iterations
-    raise NotConverged(f"no convergence in {tolerances.iterations} Newton iterations")
+            if eliminate:
+                now = eliminate(now, errors) or now
+                if iteration > 0 and met(now, tolerances):
+                    return now, iteration
+            krylov = 0
+            for _ in range(_ATTEMPTS):
+                step = linearise(now, damping)
+                krylov += step.krylov
+                # The first step crosses the new load and a damped one a snap: both may leave more
+                # out of balance than they found.
+                lenient = iteration == 0 or damping > 0
+                after = _search(now, step, max(imbalances[-_MEMORY:]), lenient)
+                if after is not None:
+                    break
+                damping = max(least_damping, 5.0 * damping)
+            else:
+                raise NotConverged("no step leads nearer to equilibrium")
+            damping *= 0.5 * min(1.0, after.imbalance / now.imbalance)
+            if damping < 0.1 * least_damping:
+                damping = 0.0
+            now = after
+        if met(now, tolerances):
+            return now, tolerances.iterations
+        raise NotConverged(f"no convergence in {tolerances.iterations} Newton iterations")
+    except NotConverged as failure:
+        failure.nearest = nearest, number
+        raise
 
 
 def met(now: Iterate, tolerances: Tolerances) -> bool:

@@ -310,9 +310,9 @@ class Path(Generic[AnyState]):
                 trial = self.guide(self.state, load)
             else:
                 trial = self.state.towards(full if self.before is None else self.before, load)
+            wanted = self.tolerances if exact else self.intermediate
             try:
-                wanted = self.tolerances if exact else self.intermediate
-                now, count = self._reach(trial, replace(wanted, krylov=_KRYLOV))
+                now, count = self._reach(trial, replace(wanted, krylov=_KRYLOV), nearly=NEARLY[0])
             except NotConverged as failure:
                 if self.spent > _FOLLOWED:
                     raise self._stopped(failure) from None
@@ -433,16 +433,28 @@ class Path(Generic[AnyState]):
                 return
 
     def _reach(
-        self, trial: AnyState, wanted: Tolerances, drag: Drag[AnyState] | None = None
+        self,
+        trial: AnyState,
+        wanted: Tolerances,
+        drag: Drag[AnyState] | None = None,
+        nearly: float = 0.0,
     ) -> tuple[Reached[AnyState], int]:
-        """Equilibrium at the load of ``trial``, and the iterations; all of them are counted."""
+        """Equilibrium at the load of ``trial``, and the iterations; all of them are counted.
+
+        Where Newton's method fails, what has a share ``nearly`` out of balance counts as one.
+        """
 
         def count(iteration: int, now: Any, krylov: int) -> None:
             self.spent += iteration > 0
             if self.report:
                 self.report(trial.load, iteration, now, krylov)
 
-        return self.loaded.equilibrate(trial, wanted, count, drag)
+        try:
+            return self.loaded.equilibrate(trial, wanted, count, drag)
+        except NotConverged as failure:
+            if failure.nearest and failure.nearest[0].force_error < nearly:
+                return failure.nearest
+            raise
 
     def _tenth(self, error: float) -> Tolerances:
         """Tolerances for a tenth of an error, between the final and the intermediate ones."""
