@@ -24,7 +24,12 @@ from optical_palpation.palpation.progress import Iterations, Progress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.surface import deformed_layer, force_on_map, surface_maps
 from optical_palpation.palpation.threads import limited_threads
-from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
+from optical_palpation.thickness.frames import (
+    inside_layer,
+    layer_extent_of,
+    on_grid,
+    typical_thickness,
+)
 from optical_palpation.thickness.initial import match_initial_thickness
 
 #: Width in thicknesses of what is computed around the region and left out of the result.
@@ -260,7 +265,7 @@ def submodel_inputs(
     }
     pulls = held["sample"] == "glued"
     initial = match_initial_thickness(initial_thickness, loaded, glued=pulls)
-    thickness = float(initial.median())
+    thickness = typical_thickness(initial)
     _check_extent(layer_extent_of(loaded), coarse, PADDING * thickness)
     sizes = element_sizes(element_size, loaded, thickness)
     if sizes[0] * sizes[1] >= whole.grid.spacing[1] * whole.grid.spacing[2]:

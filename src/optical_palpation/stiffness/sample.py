@@ -13,7 +13,12 @@ from optical_palpation.arguments import check_instance, numbers
 from optical_palpation.errors import InputError
 from optical_palpation.material import Law
 from optical_palpation.palpation.plausibility import LARGEST_MEAN_STRESS, WIDEST_FIELD
-from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
+from optical_palpation.thickness.frames import (
+    inside_layer,
+    layer_extent_of,
+    on_grid,
+    typical_thickness,
+)
 
 #: By how much larger elements are, at least, of the mesh on which sensitivities are computed.
 COARSER = 2.0
@@ -165,7 +170,7 @@ def check_sample(
                 'compression of each load, or the relief ("flat" if it is)'
             )
         return
-    together = float(initial.median()) + sample.thickness
+    together = typical_thickness(initial) + sample.thickness
     for n, (travel, measured) in enumerate(zip(sample.travels, loads, strict=True), start=1):
         here = "" if len(loads) == 1 else f" of load {n}"
         if travel >= together:

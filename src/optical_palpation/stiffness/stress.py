@@ -42,7 +42,12 @@ from optical_palpation.stiffness.sample import (
     check_sample_elements,
 )
 from optical_palpation.thickness.cleaning import clean_thickness
-from optical_palpation.thickness.frames import layer_extent_of, on_grid, smooth_map
+from optical_palpation.thickness.frames import (
+    layer_extent_of,
+    on_grid,
+    smooth_map,
+    typical_thickness,
+)
 from optical_palpation.thickness.initial import match_initial_thickness
 
 Array = NDArray[np.float64]
@@ -137,7 +142,7 @@ def sample_stress(
     if smoothing is not None and not (np.isfinite(smoothing) and smoothing > 0):
         raise InputError(f"smoothing must be a positive number, not {smoothing!r}")
     x0, x1, y0, y1 = extent = layer_extent_of(loads[-1])
-    thickness = float(initial.median())
+    thickness = typical_thickness(initial)
     if input_errors is not None:
         input_errors.check_thickness(thickness)
     check_elements(element_size, (x1 - x0, y1 - y0), thickness, "the thickness of the layer")
