@@ -407,6 +407,35 @@ def test_series_that_cannot_be_are_refused(columns, changed, match):
         )
 
 
+def test_maps_that_are_not_in_the_order_of_loading_are_refused(columns):
+    """Unless they differ by no more than a thickness is known to."""
+    last = measured(columns)
+    first, unloaded = last + 0.5 * (0.5 - last), xr.full_like(last, 0.5)
+    law = columns.scene.layer.material
+    for what in ({"compression": (0.2, 0.3)}, {"compression": None, "total_force": (20.0, 50.0)}):
+        sample = known(columns, relief="flat", **what)
+        check_sample(sample, [first, last], unloaded, law)
+        check_sample(sample, [last - 0.001, last], unloaded, law)
+        for maps, words in (
+            ([last, first], "thicker on average than that of map 1.*order of loading"),
+            ([last, last], "maps 1 and 2 of 2 are the same"),
+        ):
+            with pytest.raises(InputError, match=words):
+                check_sample(sample, maps, unloaded, law)
+
+
+def test_a_rigid_sample_may_seem_to_give_way_by_the_error_of_the_travel(columns):
+    loaded = xr.full_like(measured(columns), 0.398)
+    law, unloaded = columns.scene.layer.material, xr.full_like(loaded, 0.5)
+    sample = known(columns, compression=0.1)
+    check_sample(sample, loaded, unloaded, law)
+    with pytest.raises(InputError, match="cannot have moved less"):
+        check_sample(sample, loaded - 0.002, unloaded, law)
+    relief = 0.01 * xr.ones_like(loaded)  # leaves it no more
+    with pytest.raises(InputError, match="cannot have moved less"):
+        check_sample(replace(sample, relief=relief), loaded - 0.002, unloaded, law)
+
+
 def test_no_contact_is_an_error(columns):
     loaded = xr.full_like(measured(columns), 0.5)
     with pytest.raises(InputError, match="nothing is pressed"):

@@ -36,6 +36,7 @@ from optical_palpation.stiffness.maps import as_rigid, sample_result
 from optical_palpation.stiffness.measurement import ThicknessSurface, without_noise
 from optical_palpation.stiffness.sample import (
     COARSER,
+    RIGID,
     Sample,
     as_loads,
     check_sample,
@@ -58,9 +59,6 @@ _COARSE_ELEMENTS = 5000
 _NO_FIT = 5.0
 #: The same as a share of the indentation, where the mesh is too coarse to tell.
 _FAR_OFF = 0.1
-#: Share of the travel that a sample must take, or it is as good as rigid: nobody knows the travel
-#: much better.
-_RIGID = 0.03
 #: By so many standard deviations of its surface a layer is thinner where something touches it.
 _TOUCHING = 5.0
 #: Share of the sample's thickness that the travel has more than the layer takes, to begin with
@@ -292,13 +290,13 @@ def _is_rigid(shorter: float, travel: float) -> bool:
     InputError
         If it would get longer.
     """
-    if shorter < -_RIGID * travel:
+    if shorter < -RIGID * travel:
         raise InputError(
             f"sample: where it touches, the layer gave way by {-shorter:.3g} mm more than a "
             f"compression of {travel:.3g} mm and the relief leave it: the plate cannot have moved "
             "so little. Check the compression, the relief and the unloaded thickness"
         )
-    return shorter < _RIGID * travel
+    return shorter < RIGID * travel
 
 
 @dataclass(frozen=True)
