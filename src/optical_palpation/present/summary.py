@@ -325,8 +325,12 @@ def summarise(result: StressResult) -> str:
         lines += _submodel(maps.attrs)
     elif forces:
         within = within_map(maps.attrs)
+        given = maps.attrs.get("total_force_given_mN")
         lines.append(
-            "total force: " + ", ".join(forces) + f"; within the map {within}" * bool(within)
+            "total force: "
+            + ", ".join(forces)
+            + f"; within the map {within}" * bool(within)
+            + ("" if given is None else f"; given {given:g} mN")
         )
     if "force_mesh_error_mN" in maps.attrs:
         said = mesh_error(maps.attrs)

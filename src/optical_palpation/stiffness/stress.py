@@ -31,7 +31,7 @@ from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.stiffness.errors import propagated
 from optical_palpation.stiffness.forward import Columns, Model, Sought, meshes_of
-from optical_palpation.stiffness.inversion import Estimate, invert
+from optical_palpation.stiffness.inversion import FORCE, Estimate, invert
 from optical_palpation.stiffness.maps import as_rigid, sample_result
 from optical_palpation.stiffness.measurement import ThicknessSurface, without_noise
 from optical_palpation.stiffness.sample import (
@@ -177,13 +177,13 @@ def sample_stress(
         ]
         of_each = [result.maps.attrs for result in still]
         parts = "force_error_mN", "force_mesh_error_mN"
-        _check_force(
+        doubts = _check_force(
             sample,
             sample.travels or (),
             [attrs["window_force_mN"] for attrs in of_each],
             [float(np.hypot(*(attrs.get(name, 0.0) for name in parts))) for attrs in of_each],
         )
-        return as_rigid(still, sample, blocks)
+        return as_rigid(still, sample, blocks, doubts)
     blocks = replace(blocks, travel=start.travels[-1])
     fine, coarse = _models(blocks, Mesh(element_size), columns, thickness)
     solved = 0
@@ -213,13 +213,13 @@ def sample_stress(
             f"{failure.reason}. Check the compression and the "
             "thickness of the sample, or try another element_size"
         ) from None
-    _check_force(
+    doubts = _check_force(
         sample,
         estimate.sought.travels,
         [pressed.force for pressed in estimate.pressed],
         [band.force for band in errors.loads],
     )
-    return sample_result(estimate, errors, loads, initial_thickness, sample, fine, measured)
+    return sample_result(estimate, errors, loads, initial_thickness, sample, fine, measured, doubts)
 
 
 def _flat(x: Array, _: Array) -> Array:
@@ -367,22 +367,35 @@ def _on_imprint(
 
 def _check_force(
     sample: Sample, travels: Sequence[float], forces: Sequence[float], bands: Sequence[float]
-) -> None:
-    """Refuse a total force that the travel of the plate contradicts.
+) -> list[str]:
+    """Refuse a total force that contradicts the travel; say which lies beyond its error.
 
     Raises
     ------
     ConvergenceError
     """
+    said = []
     for given, travel, force, band in zip(
         sample.forces or (), travels, forces, bands, strict=False
     ):
+        # A force that was sought is met to a tolerance, and the band has its error already.
+        reading = given * (_FORCE_READING if sample.travels else FORCE)
+        found = f"{force:.4g} +- {band:.2g} mN"
         if abs(force - given) > band + _FORCE_READING * given:
             raise ConvergenceError(
                 f"sample: compression and total force contradict each other: with a travel of "
-                f"{travel:.3g} mm the force would be {force:.4g} +- {band:.2g} mN, "
-                f"not {given:g} mN. Give the one that is known better"
+                f"{travel:.3g} mm the force would be {found}, not {given:g} mN. Give the one that "
+                "is known better"
+                if sample.travels
+                else f"sample: no travel makes the total force of {given:g} mN; the nearest, "
+                f"{travel:.3g} mm, makes {found}. Check the force and the thickness of the sample"
             )
+        if abs(force - given) > np.hypot(band, reading):
+            said.append(
+                f"the total force found, {found}, and the one given, {given:g} mN, differ by more "
+                "than their errors: check the force, the travel and the frictions"
+            )
+    return said
 
 
 def _check_fit(estimate: Estimate) -> None:

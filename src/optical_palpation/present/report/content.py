@@ -357,6 +357,8 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
         for side in ("window", "sample")
         if (key := f"{side}_force_mN") in attrs
     ]
+    if "total_force_given_mN" in attrs:
+        rows.append(("Given", f"{attrs['total_force_given_mN']:g} mN"))
     if "submodel_region_mm" not in attrs and (within := within_map(attrs)):
         rows.append(("Within the map", within))
     if result.series is not None:
