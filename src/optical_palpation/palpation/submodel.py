@@ -79,7 +79,10 @@ def submodel_stress(
     StressResult
         Maps of the region. ``submodel_sides_error`` among the attributes estimates what the cut
         sides get wrong: the change of contact pressure in the region with half of the margin along
-        x, and that along y, as fractions (root mean squares), added. ``submodel_change`` is by how
+        x, and that along y, as fractions (root mean squares), added. What they have in common with
+        the whole, such as a pressure that its mesh makes too high everywhere, it does not see:
+        ``submodel_coarse_force_error`` is the estimated error of the whole's force by its mesh, as
+        a fraction, where that is known. ``submodel_change`` is by how
         much the axial stress differs from that of the coarse solution, ``sample_force_mN`` the
         force on the region.
 
@@ -303,6 +306,9 @@ _SETTINGS = ("method", "edges", "bulk_to_shear", "initial_thickness", "no_contac
 def settings_of(attrs: Mapping[Hashable, Any]) -> dict[Hashable, Any]:
     """Return the attributes of a coarse result that hold for its parts as well."""
     settings = {key: value for key, value in attrs.items() if _is_setting(str(key))}
+    if "force_mesh_error_mN" in attrs and attrs.get("sample_force_mN"):
+        share = abs(attrs["force_mesh_error_mN"] / attrs["sample_force_mN"])
+        settings["submodel_coarse_force_error"] = share
     if "unusual" in settings:  # what there is to say of its map is not said of theirs
         of_map = misread(attrs)
         said = [text for text in json.loads(settings["unusual"]) if text not in of_map]

@@ -284,16 +284,21 @@ def of_solution(attrs: Mapping[Hashable, Any]) -> list[str]:
     return said
 
 
-def _submodel(attrs: Mapping[Hashable, Any]) -> list[str]:
+def of_submodel(attrs: Mapping[Hashable, Any]) -> list[str]:
     """Say what part of a layer was computed, and how well."""
     x0, x1, y0, y1 = attrs["submodel_region_mm"]
     part = "part" if "tiles" not in attrs else "worst tile"
+    level = attrs.get("submodel_coarse_force_error")
+    of_mesh = "unknown, as is the error of its force by its mesh"
+    if level is not None:
+        of_mesh = f"up to {percent(level)}, the error of its force by its mesh"
     lines = [
         f"region: x {x0:g} to {x1:g} mm, y {y0:g} to {y1:g} mm, force of the sample on it "
         f"{attrs['sample_force_mN']:.1f} mN",
         f"axial stress differs by {percent(attrs['submodel_change'])} from that of the coarse "
         f"solution; the sides of the {part} account for about "
-        f"{percent(attrs['submodel_sides_error'])}",
+        f"{percent(attrs['submodel_sides_error'])}, and what the coarse solution gets wrong of the "
+        f"pressure everywhere for {of_mesh}",
     ]
     if "tiles" not in attrs:
         return lines
@@ -322,7 +327,7 @@ def summarise(result: StressResult) -> str:
         if (key := f"{side}_force_mN") in maps.attrs
     ]
     if "submodel_region_mm" in maps.attrs:
-        lines += _submodel(maps.attrs)
+        lines += of_submodel(maps.attrs)
     elif forces:
         within = within_map(maps.attrs)
         given = maps.attrs.get("total_force_given_mN")

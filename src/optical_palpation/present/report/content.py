@@ -27,6 +27,7 @@ from optical_palpation.present.summary import (
     methods,
     of_mesh_alone,
     of_series,
+    of_submodel,
     stress_error,
     stress_figures,
     touching_share,
@@ -359,7 +360,9 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
     ]
     if "total_force_given_mN" in attrs:
         rows.append(("Given", f"{attrs['total_force_given_mN']:g} mN"))
-    if "submodel_region_mm" not in attrs and (within := within_map(attrs)):
+    if "submodel_region_mm" in attrs:
+        rows += [("Part of a layer", text) for text in of_submodel(attrs)]
+    elif within := within_map(attrs):
         rows.append(("Within the map", within))
     if result.series is not None:
         rows.append(("Travel of the plate and force at each load", of_series(result.series)))
