@@ -234,12 +234,7 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
             f"known on {percent(np.isfinite(modulus).mean())} of the map"
         )
     if "sample_relief" in maps and maps["sample_relief"].notnull().any():
-        low, high = np.nanpercentile(maps["sample_relief"].values, [1, 99])
-        band = np.nanmedian(maps["sample_relief_error"].values)
-        lines.append(
-            f"relief of the sample, found: 98 % of it within {1e3 * low:+.2g} ... "
-            f"{1e3 * high:+.2g} um of its mean height, 95 % band ±{1e3 * band:.2g} um (median)"
-        )
+        lines.append(f"relief of the sample, found: {of_relief(maps)}")
     lines.append(
         f"thickness: computed and measured differ by {1e3 * attrs['thickness_misfit_mm']:.2g} um, "
         f"{attrs['misfit_over_tolerance']:.1f} times what noise "
@@ -247,6 +242,17 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
         f"{attrs['forward_solutions']} forward solutions"
     )
     return lines
+
+
+def of_relief(maps: xr.Dataset) -> str:
+    """Say what relief of the sample was found."""
+    low, high = 1e3 * np.nanpercentile(maps["sample_relief"].values, [1, 99])
+    band = 1e3 * np.nanmedian(maps["sample_relief_error"].values)
+    ends = " ... ".join(rounded(end, band).split()[0] for end in (low, high))
+    return (
+        f"98 % of it within {ends} um of its mean height, 95 % band ±{rounded(band, digits=2)} um "
+        "(median)"
+    )
 
 
 def within_map(attrs: Mapping[Hashable, Any]) -> str:
@@ -259,10 +265,12 @@ def within_map(attrs: Mapping[Hashable, Any]) -> str:
 
 def of_series(series: xr.Dataset) -> str:
     """Travel and force of each load of a series."""
+    forces = series["window_force"]
+    errors = series.get("force_error", xr.full_like(forces, np.nan))
     return ", ".join(
-        f"{travel:.3g} mm {rounded(force)} mN"
-        for travel, force in zip(
-            series["compression"].values, series["window_force"].values, strict=True
+        f"{travel:.3g} mm {rounded(force, error)} mN"
+        for travel, force, error in zip(
+            series["compression"].values, forces.values, errors.values, strict=True
         )
     )
 

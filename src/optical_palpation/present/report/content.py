@@ -26,6 +26,7 @@ from optical_palpation.present.summary import (
     mesh_error,
     methods,
     of_mesh_alone,
+    of_relief,
     of_series,
     of_submodel,
     stress_error,
@@ -40,6 +41,7 @@ from optical_palpation.present.terms import (
     LENGTH,
     QUALITY,
     STRESS,
+    as_given,
     common_limits,
     in_percent,
     is_map,
@@ -411,7 +413,8 @@ def key_figures(
     thickness = thicknesses(result, loaded, unloaded)
     errors = _thickness_errors(attrs)
     if "unloaded" not in thickness and "initial_thickness_mm" in attrs:
-        given = rounded(attrs["initial_thickness_mm"], errors.get("unloaded"))
+        mean, error = attrs["initial_thickness_mm"], errors.get("unloaded")
+        given = rounded(mean, error) if error else as_given(mean)
         figures.append(("Unloaded thickness, mean", f"{given} mm"))
     for state, field in thickness.items():
         middle = rounded(_within(field, maps).median(), errors.get(state))
@@ -461,10 +464,7 @@ def _sample_figures(maps: xr.Dataset) -> list[tuple[str, str]]:
         known = float(maps["sample_youngs_modulus"].notnull().mean())
         figures.append(("Modulus known", percent(known)))
     if "sample_relief" in maps and maps["sample_relief"].notnull().any():
-        low, high = (float(f(maps["sample_relief"])) for f in (np.nanmin, np.nanmax))
-        band = 1e3 * float(maps["sample_relief_error"].median())
-        said = f"{1e3 * (high - low):.2g} \N{PLUS-MINUS SIGN} {band:.1g} \N{MICRO SIGN}m"
-        figures.append(("Relief of the sample, lowest to highest", said))
+        figures.append(("Relief of the sample, found", of_relief(maps)))
     if "compression_error_mm" in attrs:
         found = rounded(attrs["compression_mm"], attrs["compression_error_mm"])
         figures.append(("Travel of the plate, found", f"{found} mm"))
@@ -491,9 +491,9 @@ def band_rows(result: StressResult) -> list[tuple[str, str, str, str]]:
             ]
             text = percent(error)
             if name.endswith("friction"):
-                text = rounded(error)
+                text = as_given(error)
             elif name in ("thickness", "initial_thickness"):
-                text = f"{rounded(1e3 * error)} \N{MICRO SIGN}m"
+                text = f"{as_given(1e3 * error)} \N{MICRO SIGN}m"
             text = f"\N{PLUS-MINUS SIGN}{text}"
             rows.append((INPUTS.get(name, name), text, *changes))
         return rows
