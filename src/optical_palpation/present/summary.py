@@ -79,9 +79,11 @@ def force_error(attrs: Mapping[Hashable, Any]) -> float | None:
     return float(np.hypot.reduce(known)) if known else None
 
 
-def of_mesh_alone(attrs: Mapping[Hashable, Any]) -> bool:
-    """Whether the only error that is known is that of the mesh, which leaves the inputs out."""
-    return force_error(attrs) is not None and "force_error_mN" not in attrs
+def without_inputs(attrs: Mapping[Hashable, Any]) -> str:
+    """Say of what alone the known error is, where it leaves the inputs out; else ""."""
+    if has_bands(attrs):
+        return "" if json.loads(attrs["error_bands"]) else "noise and mesh"
+    return "mesh" if force_error(attrs) is not None and "force_error_mN" not in attrs else ""
 
 
 def mean_stress(maps: xr.Dataset, name: str = "axial_stress") -> float:
@@ -220,9 +222,10 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
         ]
     modulus = maps["sample_youngs_modulus"].values
     error = maps["sample_modulus_error"].values
+    alone = f", of {of} alone" if (of := without_inputs(attrs)) else ""
     lines = [
         f"total force: 95 % band ±{rounded(attrs['force_error_mN'], digits=2)} mN; axial stress: "
-        f"±{np.nanmedian(maps['axial_stress_error']):.2g} kPa (median)"
+        f"±{rounded(np.nanmedian(maps['axial_stress_error']), digits=2)} kPa (median){alone}"
     ]
     if np.isfinite(modulus).any():
         low, middle, high = np.nanpercentile(modulus, [5, 50, 95])

@@ -25,7 +25,6 @@ from optical_palpation.present.summary import (
     mean_error,
     mesh_error,
     methods,
-    of_mesh_alone,
     of_relief,
     of_series,
     of_submodel,
@@ -33,6 +32,7 @@ from optical_palpation.present.summary import (
     stress_figures,
     touching_share,
     within_map,
+    without_inputs,
 )
 from optical_palpation.present.tables import region_figure
 from optical_palpation.present.terms import (
@@ -402,7 +402,7 @@ def key_figures(
     bands = has_bands(attrs)
     if "sample_force_mN" in attrs:
         force = rounded(attrs["sample_force_mN"], force_error(attrs))
-        alone = ", ± by the mesh alone" * of_mesh_alone(attrs)
+        alone = f", ± by the {of} alone" if (of := without_inputs(attrs)) else ""
         figures.append((f"Force on the sample{', 95 % band' * bands}{alone}", f"{force} mN"))
     for method, stress in methods(result).items():
         mean = rounded(area_mean(stress), mean_error(method, maps))
