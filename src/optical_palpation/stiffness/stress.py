@@ -438,6 +438,6 @@ def _check_fit(estimate: Estimate) -> None:
             f"no stiffness of the sample explains the loaded thickness{here}: it stays off by "
             f"{1e3 * off:.3g} um ({share:.0%} of the indentation, {left:.1f} times "
             f"what noise and mesh explain), most at x = {at_x:.2f}, y = {at_y:.2f} mm. Check the "
-            "compression, the thickness and the relief of the sample, and the unloaded thickness"
-            + coarse
+            "compression, the thickness and the relief of the sample, the unloaded thickness, and "
+            "that pixels beside the layer are missing" + coarse
         )
