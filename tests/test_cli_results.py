@@ -19,7 +19,7 @@ from optical_palpation.analysis import read_regions, region_statistics
 from optical_palpation.cli import app
 from optical_palpation.errors import InputError
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.palpation import algebraic_result
+from optical_palpation.palpation import algebraic_result, memory
 from optical_palpation.present import read_result, write_mat, write_result, write_tiff
 from optical_palpation.thickness import thickness_map
 
@@ -331,6 +331,29 @@ def test_check_reads_everything_and_writes_nothing(here, run, told):
     status, _, err = run("run", "study.toml", "--check", "--output", "photos")
     assert status == 2
     assert "photos: holds files but no record" in err
+
+
+def test_check_refuses_a_folder_that_cannot_be_made(here, run, told):
+    before = sorted(path.name for path in here.iterdir())
+    for folder in ("map.npy/results", "x" * 300, "a/" + "x" * 300):
+        status, _, err = run("run", "study.toml", "--check", "--output", folder)
+        assert status == 2
+        assert "the result folder cannot be made" in err
+    assert run("run", "study.toml", "--check", "--output", "a/b/c")[0] == 0
+    assert sorted(path.name for path in here.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    "sample", [[], ["thickness=2.0", "compression=0.3", "plate_friction=0.2"]], ids=["", "sample"]
+)
+def test_check_refuses_what_memory_cannot_hold(here, run, monkeypatch, sample):
+    options = [text for value in sample for text in ("--set", f"sample.{value}")]
+    assert run("run", "study.toml", "--check", *options)[0] == 0
+    monkeypatch.setattr(memory, "available_memory", lambda: 1e6)
+    status, _, err = run("run", "study.toml", "--check", *options)
+    assert status == 2
+    assert "[grid]" in err
+    assert "of memory" in err
 
 
 @pytest.mark.parametrize(

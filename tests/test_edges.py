@@ -6,6 +6,7 @@ import xarray as xr
 
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import computational_stress, edges
+from optical_palpation.palpation.plausibility import BEYOND_EXTENT
 from optical_palpation.present import read_result, summarise, write_result
 from optical_palpation.present.figure import new_figure
 from optical_palpation.present.panel import draw_panel
@@ -111,6 +112,52 @@ def test_a_comparison_that_does_not_arrive_is_unknown_and_the_result_stays(monke
     write_result(result, tmp_path / "result.nc")
     again = read_result(tmp_path / "result.nc")
     xr.testing.assert_equal(again.maps["edge_influence"], result.maps["edge_influence"])
+
+
+def beside(value, **options):
+    """A layer in a map that is wider, and shows one value beside it."""
+    whole = dent(0.1, 1.0, level=0.05)
+    kept = {axis: slice(0.99, 3.01) for axis in "xy"}
+    loaded = whole.sel(kept).reindex_like(whole, fill_value=value)
+    return solved(loaded.assign_attrs(layer_extent=[1.0, 3.0, 1.0, 3.0]), 0.2, **options)
+
+
+@pytest.mark.parametrize("sides", ["padded", "roller"])
+def test_what_lies_beside_the_layer_does_not_matter_to_sides_that_do_not_bulge(sides):
+    options = {"edges": sides, "mesh_check": False, "input_errors": None}
+    one, other = (beside(value, **options).maps for value in (0.5, 0.3))
+    xr.testing.assert_identical(one["axial_stress"], other["axial_stress"])
+    xr.testing.assert_identical(one["edge_influence"], other["edge_influence"])
+    assert "beyond_extent_force" not in one.attrs
+
+
+def test_a_result_says_what_the_map_shows_beside_free_sides_does_to_the_force():
+    options = {"mesh_check": False, "input_errors": None}
+    wrong = beside(0.5, **options)
+    whole = dent(0.1, 1.0, level=0.05).assign_attrs(layer_extent=[1.0, 3.0, 1.0, 3.0])
+    right = solved(whole, 0.2, **options)
+    alone = solved(whole.sel(x=slice(0.99, 3.01), y=slice(0.99, 3.01)), 0.2, **options)
+    true = alone.maps.attrs["window_force_mN"] / wrong.maps.attrs["window_force_mN"] - 1
+    assert true > 0.2
+    assert wrong.maps.attrs["beyond_extent_force"] == pytest.approx(true, rel=0.3)
+    assert "beyond the extent of the layer" in summarise(wrong)
+    assert abs(right.maps.attrs["beyond_extent_force"]) < BEYOND_EXTENT
+    assert "beyond the extent of the layer" not in summarise(right)
+    assert "beyond_extent_force" not in alone.maps.attrs
+
+
+def test_the_thickness_of_a_layer_is_that_within_its_extent():
+    at = np.linspace(0, FIELD, 81)
+    here = (abs(at - 2) < 1.01)[:, None] & (abs(at - 2) < 1.01)
+    unloaded = thickness_map(np.where(here, LAYER, 0.2), x=at, y=at)
+    loaded = dent(0.1, 1.0, level=0.05).assign_attrs(layer_extent=[1.0, 3.0, 1.0, 3.0])
+    options = {"window_friction": 0.2, "sample_friction": 0.2, "element_size": 0.25}
+    options |= {"edges": "padded", "mesh_check": False, "edge_check": False, "input_errors": None}
+    one, other = (
+        computational_stress(loaded, initial, LAW, **options).maps for initial in (unloaded, LAYER)
+    )
+    xr.testing.assert_allclose(one["axial_stress"], other["axial_stress"])
+    assert one.attrs["slip_length_mm"] == other.attrs["slip_length_mm"]
 
 
 def test_it_can_be_left_out():

@@ -18,6 +18,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optical_palpation.errors import InputError, OutputError
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.palpation import computational_stress
 from optical_palpation.palpation.result import ContactState, StressResult
 from optical_palpation.present import (
     centre_profiles,
@@ -32,6 +34,8 @@ from optical_palpation.present.figure import new_figure
 from optical_palpation.present.output import atomic, check_writable
 from optical_palpation.present.panel import draw_panel
 from optical_palpation.present.tables import result_columns
+from optical_palpation.present.terms import as_given, percent, plain, rounded
+from optical_palpation.thickness import thickness_map
 
 X = np.linspace(0, 5, 11)
 Y = np.linspace(-1, 3, 9)
@@ -115,6 +119,37 @@ def test_netcdf_round_trip(tmp_path):
     assert json.loads(back.maps.attrs["load_steps"])[1] == {"load": 1.0, "newton": 5}
     write_result(back, tmp_path / "again.nc")
     xr.testing.assert_identical(read_result(tmp_path / "again.nc").maps, back.maps)
+
+
+def test_contact_flags_are_of_the_type_of_the_map(tmp_path):
+    at = np.linspace(0, 2, 21)
+    loaded = thickness_map(np.full((21, 21), 0.45), x=at, y=at)
+    options = {"window_friction": 0.1, "sample_friction": 0.1, "element_size": 0.5}
+    options |= {"mesh_check": False, "edge_check": False, "input_errors": None}
+    computational_stress(loaded, 0.5, MooneyRivlin(2.23), **options).save(tmp_path / "out.nc")
+    with h5py.File(tmp_path / "out.nc") as file:
+        state = file["contact_state"]
+        assert state.attrs["flag_values"].dtype == state.dtype
+        assert list(state.attrs["flag_values"]) == [int(each) for each in ContactState]
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (0.5, None, "0.500"),
+        (0.4976, None, "0.498"),
+        (120.0, None, "120"),
+        (1234.0, None, "1230"),
+        (0.0, None, "0"),
+        (5e-6, None, "5.00e-06"),
+        (0.5, 0.1, "0.50 ± 0.10"),
+        (412.3, 11.7, "412 ± 12"),
+    ],
+)
+def test_numbers_keep_the_digits_they_are_good_for(value, error, text):
+    assert plain(rounded(value, error)) == text
+    assert as_given(0.05) == "0.05"
+    assert percent(0.5) == "50 %"
 
 
 def test_netcdf_is_written_beside_a_client_of_dask(tmp_path):

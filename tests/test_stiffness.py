@@ -13,6 +13,7 @@ from scipy.sparse.linalg import spsolve
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.experiment import Scene, run_experiment
 from optical_palpation.mechanics.iteration import TOLERANCES, relaxed
+from optical_palpation.mechanics.path import LoadNotReached
 from optical_palpation.mechanics.stack.assembly import Blocks, Mesh, assemble
 from optical_palpation.mechanics.stack.cascade import solve
 from optical_palpation.mechanics.stack.newton import balance, equilibrate, make_solver
@@ -166,6 +167,33 @@ def test_total_force_in_place_of_the_travel(columns, found):
     assert error(maps, columns.maps) < 0.06
     with pytest.raises(ConvergenceError, match="contradict each other"):
         computed(columns, known(columns, total_force=2 * force), element_size=0.3)
+
+
+def test_a_total_force_beyond_its_error_is_doubted_and_is_told(columns):
+    options = {"element_size": 0.3}
+    attrs = computed(columns, **options).maps.attrs
+    force, band = attrs["window_force_mN"], attrs["force_error_mN"]
+    assert "total_force_given_mN" not in attrs
+    for share, doubted in ((0.5, False), (0.97, True)):
+        given = (force + share * band) / (1 - share * 0.05)
+        result = computed(columns, known(columns, total_force=given), **options)
+        assert ("and the one given" in summarise(result)) == doubted
+        assert f"; given {given:g} mN" in summarise(result)
+
+
+def test_inputs_that_the_bands_leave_out_are_told(columns, monkeypatch):
+    change = Model.changed
+
+    def sometimes(model, **changed):
+        if "friction" in changed and changed["friction"][1] != 0.1:
+            raise LoadNotReached(0.5, "it stagnates")
+        return change(model, **changed)
+
+    monkeypatch.setattr(Model, "changed", sometimes)
+    errors = InputErrors.parsed(["modulus=0", "thickness=0", "initial_thickness=0"])
+    result = computed(columns, element_size=0.3, input_errors=errors)
+    assert json.loads(result.maps.attrs["error_bands"])["sample_friction"]["force_mN"] is None
+    assert "the bands leave out the error of sample friction: with" in summarise(result)
 
 
 @pytest.mark.parametrize("compression", [0.15, 0.5])
@@ -405,6 +433,35 @@ def test_series_that_cannot_be_are_refused(columns, changed, match):
             unloaded,
             columns.scene.layer.material,
         )
+
+
+def test_maps_that_are_not_in_the_order_of_loading_are_refused(columns):
+    """Unless they differ by no more than a thickness is known to."""
+    last = measured(columns)
+    first, unloaded = last + 0.5 * (0.5 - last), xr.full_like(last, 0.5)
+    law = columns.scene.layer.material
+    for what in ({"compression": (0.2, 0.3)}, {"compression": None, "total_force": (20.0, 50.0)}):
+        sample = known(columns, relief="flat", **what)
+        check_sample(sample, [first, last], unloaded, law)
+        check_sample(sample, [last - 0.001, last], unloaded, law)
+        for maps, words in (
+            ([last, first], "thicker on average than that of map 1.*order of loading"),
+            ([last, last], "maps 1 and 2 of 2 are the same"),
+        ):
+            with pytest.raises(InputError, match=words):
+                check_sample(sample, maps, unloaded, law)
+
+
+def test_a_rigid_sample_may_seem_to_give_way_by_the_error_of_the_travel(columns):
+    loaded = xr.full_like(measured(columns), 0.398)
+    law, unloaded = columns.scene.layer.material, xr.full_like(loaded, 0.5)
+    sample = known(columns, compression=0.1)
+    check_sample(sample, loaded, unloaded, law)
+    with pytest.raises(InputError, match="cannot have moved less"):
+        check_sample(sample, loaded - 0.002, unloaded, law)
+    relief = 0.01 * xr.ones_like(loaded)  # leaves it no more
+    with pytest.raises(InputError, match="cannot have moved less"):
+        check_sample(replace(sample, relief=relief), loaded - 0.002, unloaded, law)
 
 
 def test_no_contact_is_an_error(columns):

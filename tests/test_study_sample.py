@@ -22,6 +22,7 @@ from optical_palpation.present.panel import draw_panel, panel_height
 from optical_palpation.present.report import write_report
 from optical_palpation.present.report.content import key_figures
 from optical_palpation.present.summary import INPUTS
+from optical_palpation.present.tables import result_columns
 from optical_palpation.stiffness.maps import SAMPLE_MAPS
 from optical_palpation.study import describe_inputs, read_study, run_study
 from optical_palpation.study.inputs import facts, parameters
@@ -471,6 +472,19 @@ def test_summary_and_report_round_alike_what_was_found_of_the_sample(finished):
     modulus = figures["Young's modulus of the sample, median"]
     assert " \u00b1 " in modulus
     assert f"Young's modulus of the sample: median {modulus}" in summarise(result)
+
+
+def test_bands_that_leave_the_inputs_out_are_told(finished):
+    """They are a part of the error, and no error in a table."""
+    result = read_result(finished / "stress.nc")
+    alone = "Force on the sample, 95 % band, \u00b1 by the noise and mesh alone"
+    assert "force_error_mN" in result_columns(result)
+    assert "alone" not in summarise(result)
+    assert alone not in dict(key_figures(result, None, None))
+    result.maps.attrs["error_bands"] = "{}"
+    assert not any("error" in name for name in result_columns(result))
+    assert "kPa (median), of noise and mesh alone" in summarise(result)
+    assert alone in dict(key_figures(result, None, None))
 
 
 def test_the_report_has_layers_numbers_and_parameters(finished):

@@ -15,7 +15,10 @@ from optical_palpation.mechanics.problem import LayerState
 from optical_palpation.mechanics.submodel import part_of
 from optical_palpation.mechanics.system import assemble
 from optical_palpation.palpation import algebraic_result, submodel_stress
-from optical_palpation.present import read_result
+from optical_palpation.palpation.submodel import settings_of
+from optical_palpation.present import read_result, summarise
+from optical_palpation.present.report.content import force_rows
+from optical_palpation.present.terms import percent, plain
 from submodel_case import GEL, SIZE, THICKNESS, error, relief, whole
 
 
@@ -186,6 +189,25 @@ def test_what_cannot_be_used(coarse, change, message):
         submodel_stress(coarse, loaded, THICKNESS, region, **given)
 
 
+def test_what_a_part_takes_over_of_the_pressure_is_told():
+    """The mesh of a layer that sticks makes its pressure too high all over."""
+    wave = relief()
+    solved, reference = (whole(s, 0.8, 0.8, edges="padded", loaded=wave) for s in (0.2, 0.1))
+    part = submodel_stress(solved, wave, THICKNESS, (0.8, 1.6, 0.8, 1.6), element_size=0.1)
+    attrs, off = part.maps.attrs, error(part, reference)
+    assert attrs["submodel_sides_error"] < 0.5 * off
+    assert off < attrs["submodel_sides_error"] + attrs["submodel_coarse_force_error"]
+    assert f"everywhere for up to {percent(attrs['submodel_coarse_force_error'])}" in summarise(
+        part
+    )
+    unknown = dict(solved.maps.attrs)
+    del unknown["force_mesh_error_mN"]
+    assert "submodel_coarse_force_error" not in settings_of(unknown)
+    rows = [text for name, text in force_rows(part) if name == "Part of a layer"]
+    assert all(plain(text) in summarise(part) for text in rows)
+    assert len(rows) == 2
+
+
 def test_only_a_solution_of_the_whole_has_parts(coarse):
     with pytest.raises(InputError, match="holds no solution"):
         submodel_stress(
@@ -200,13 +222,18 @@ def test_only_a_solution_of_the_whole_has_parts(coarse):
 def test_command(coarse, tmp_path, monkeypatch, run):
     monkeypatch.chdir(tmp_path)
     values = relief()
-    np.savez("m.npz", L1=values.values, x=values["x"].values, y=values["y"].values)
+    at = {"x": values["x"].values, "y": values["y"].values}
+    np.savez("m.npz", L1=values.values, **at)
+    gaps = (abs(values["x"] - 1.1) < 0.1) & (abs(values["y"] - 1.1) < 0.04)
+    np.savez("before.npz", L0=xr.full_like(values, THICKNESS).where(~gaps).values, **at)
     coarse.save("whole.nc")
     code, out, err = run(
-        *["submodel", "whole.nc", "m.npz", "--initial-thickness", THICKNESS],
+        *["submodel", "whole.nc", "m.npz", "--initial-thickness", "before.npz"],
         *["--region", 0.8, 1.4, 1.0, 1.5, "--element-size", 0.05, "--output", "part.nc"],
     )
     assert code == 0, err
+    region = gaps.sel(x=slice(0.79, 1.41), y=slice(0.99, 1.51))
+    assert f"interpolated pixels, unloaded: {percent(region.mean())} of the map" in out
     assert "region: x 0.8 to 1.4 mm, y 1 to 1.5 mm" in out
     assert "the sides of the part account for about" in out
     part = read_result("part.nc")

@@ -40,7 +40,7 @@ from optical_palpation.palpation.submodel import (
 from optical_palpation.palpation.tiling import Blend, Tiling, tiled
 from optical_palpation.present import read_result, write_result
 from optical_palpation.runtime.source import source_digest
-from optical_palpation.thickness.frames import layer_extent_of
+from optical_palpation.thickness.frames import layer_extent_of, typical_thickness
 
 #: Bytes per pixel of the thickness maps that a worker holds besides its tile.
 _PER_PIXEL = 120.0
@@ -286,7 +286,7 @@ def _inputs(job: Job) -> tuple[StressResult, xr.DataArray, xr.DataArray]:
 def _predicted_need(inputs: SubmodelInputs, tiling: Tiling) -> float:
     """Memory of the largest tile, bytes."""
     hx, hy, hz = inputs.sizes
-    through = max(1, round(float(inputs.initial.median()) / hz))
+    through = max(1, round(typical_thickness(inputs.initial) / hz))
     across = [
         max(last - first for first, last in ends) + 2 * round(inputs.margin / size)
         for ends, size in (

@@ -21,7 +21,6 @@ from optical_palpation.errors import FolderBusyError, OpticalPalpationError
 
 if TYPE_CHECKING:
     from optical_palpation.palpation import StressResult
-    from optical_palpation.study import Study
 
 #: Pixels along the longer side of a thumbnail.
 _THUMBNAIL = 96
@@ -99,10 +98,12 @@ def predicted_need(scan: Scan) -> float | None:
     The thickness of the layer is not known before it was found in the volumes: half of their depth
     stands for it. Neither are the elements of a wanted accuracy: some finer than the first do.
     """
+    from optical_palpation.mechanics.stack.assembly import Mesh, count_elements
     from optical_palpation.palpation.accuracy import first_size
     from optical_palpation.palpation.memory import predicted_memory, predicted_stack_memory
     from optical_palpation.study import read_study
     from optical_palpation.study.inputs import open_input
+    from optical_palpation.study.plausible import even_blocks
     from optical_palpation.study.schema import MapInput, NumberInput
     from optical_palpation.thickness import read_thickness_map
 
@@ -128,7 +129,8 @@ def predicted_need(scan: Scan) -> float | None:
             width, depth = extent[1] - extent[0], extent[3] - extent[2]
         size = study.grid.element_size
         if study.sample.modelled and isinstance(size, float):
-            elements = _elements_with_sample(study, (width, depth), thickness, size)
+            blocks = even_blocks(study, (0.0, width, 0.0, depth), thickness)
+            elements = count_elements(blocks, Mesh(size))
             return volume + predicted_stack_memory(elements)
         if size is None:
             size = _FINER * first_size(thickness, (width, depth))
@@ -144,28 +146,6 @@ def predicted_need(scan: Scan) -> float | None:
         return volume + predicted_memory((through, across[0], across[1]), solver)
     except (OpticalPalpationError, OSError):  # the scan itself tells what is wrong
         return None
-
-
-def _elements_with_sample(
-    study: Study, layer: tuple[float, float], thickness: float, size: float
-) -> int:
-    """Elements of a layer of a size and thickness, mm, and of the sample in the model."""
-    from optical_palpation.mechanics.stack.assembly import Blocks, Mesh, count_elements
-
-    sample, law = study.sample, study.material.make()
-    assert sample.thickness is not None
-    blocks = Blocks(
-        extent=(0.0, layer[0], 0.0, layer[1]),
-        thickness=lambda x, _: np.full(np.shape(x), thickness),
-        law=law,
-        sample_size=sample.size or layer,
-        sample_thickness=sample.thickness,
-        sample_law=law,
-        relief=lambda x, _: np.zeros(np.shape(x)),
-        friction=(0.0, 0.0, 0.0),
-        travel=0.0,
-    )
-    return count_elements(blocks, Mesh(size))
 
 
 def _relative(target: Path, start: Path) -> str:

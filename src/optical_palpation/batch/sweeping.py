@@ -20,7 +20,7 @@ from optical_palpation.batch.run import run_batch
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present import read_result
-from optical_palpation.present.summary import force_error, of_mesh_alone
+from optical_palpation.present.summary import force_error, without_inputs
 from optical_palpation.study import Progress, warnings_about
 from optical_palpation.study.python import Study
 from optical_palpation.study.reading import plain
@@ -216,7 +216,7 @@ def _gathered(
         result[f"{side}_force"] = (dims, np.reshape(forces, shape), text)
     attrs = [{} if m is None else m.attrs for m in found]
     # the error by the mesh is a part of the error
-    errors = np.array([None if of_mesh_alone(a) else force_error(a) for a in attrs], dtype=float)
+    errors = np.array([None if without_inputs(a) else force_error(a) for a in attrs], dtype=float)
     if np.isfinite(errors).any():
         text = {"units": "mN", "long_name": "error of the force"}
         result["force_error"] = (dims, errors.reshape(shape), text)

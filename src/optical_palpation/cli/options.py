@@ -161,12 +161,12 @@ class ThicknessFiles:
     def initial_filled_share(self, loaded: xr.DataArray) -> float:
         """Fraction of the layer on whose pixels the unloaded thickness is interpolated."""
         from optical_palpation.thickness.frames import inside_layer
+        from optical_palpation.thickness.initial import filled_there
 
-        if is_number(self.initial_thickness):
+        inside = inside_layer(loaded)
+        if is_number(self.initial_thickness) or not inside.any():
             return 0.0
-        here = {axis: loaded[axis] for axis in "yx"}
-        filled = self._unloaded["filled"].reindex(here, method="nearest")
-        return float(filled.values[inside_layer(loaded)].mean())
+        return float(filled_there(self._unloaded["filled"], loaded).values[inside].mean())
 
     @cached_property
     def _unloaded(self) -> xr.Dataset:
@@ -188,18 +188,21 @@ class ThicknessFiles:
         )
 
 
-def mark_filled(result: StressResult, cleaned: xr.Dataset) -> None:
-    """Let what was filled in the loaded thickness go with a result."""
+def mark_filled(result: StressResult, cleaned: xr.Dataset, files: ThicknessFiles) -> None:
+    """Let what was filled in loaded and unloaded thickness go with a result."""
     from optical_palpation.analysis.maps import area_mean
 
     # The maps of the computational method lie on the nodes of its elements, not on the pixels.
     here = {axis: result.maps[axis] for axis in "yx"}
     result.maps["filled"] = cleaned["filled"].reindex(here, method="nearest")
     result.maps.attrs |= cleaned.attrs
+    loaded = cleaned["thickness"]
     if "submodel_region_mm" in result.maps.attrs:  # the shares are those of the whole
+        loaded = loaded.assign_attrs(layer_extent=list(result.maps.attrs["submodel_region_mm"]))
         for share in ("missing_share", "spike_share"):
             del result.maps.attrs[share]
         result.maps.attrs["filled_share"] = area_mean(result.maps["filled"])
+    result.maps.attrs["initial_filled_share"] = files.initial_filled_share(loaded)
 
 
 def each_on(workers: int | None, scheduler: str | None) -> Callable[..., Iterator[Any]] | None:

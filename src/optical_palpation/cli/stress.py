@@ -423,8 +423,7 @@ def stress(
                 input_errors=errors,
                 progress=progress,
             )
-    mark_filled(result, cleaned)
-    result.maps.attrs["initial_filled_share"] = files.initial_filled_share(loaded)
+    mark_filled(result, cleaned, files)
     if not isinstance(initial, float):
         result.maps.attrs["initial_thickness_input"] = initial.attrs["source"]
         result.maps.attrs["initial_thickness_input_sha256"] = initial.attrs["source_sha256"]

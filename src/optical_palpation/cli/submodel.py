@@ -138,7 +138,7 @@ def submodel(
             part = submodel_stress(
                 coarse, loaded, initial, region, threads=threads, progress=progress, **settings
             )
-        mark_filled(part, cleaned)
+        mark_filled(part, cleaned, files)
         write_outputs(part, wanted, quiet)
         return
     from optical_palpation.batch.field import field_stress, remove_tiles
@@ -158,7 +158,7 @@ def submodel(
             progress=display,
             **settings,
         )
-    mark_filled(field, cleaned)
+    mark_filled(field, cleaned, files)
     write_outputs(field, wanted, quiet)
     if "tiles_failed" in field.maps.attrs:
         if not quiet:

@@ -33,6 +33,7 @@ from optical_palpation.palpation.meshing import (
     Edges,
     Hold,
     expected_forces,
+    imprint_of,
     layer_problem,
 )
 from optical_palpation.palpation.motion import match_sample_motion
@@ -47,7 +48,12 @@ from optical_palpation.palpation.surface import (
     surface_maps,
 )
 from optical_palpation.palpation.threads import limited_threads
-from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
+from optical_palpation.thickness.frames import (
+    inside_layer,
+    layer_extent_of,
+    on_grid,
+    typical_thickness,
+)
 from optical_palpation.thickness.initial import match_initial_thickness
 
 
@@ -190,10 +196,10 @@ def computational_stress(
         raise InputError("the unloaded thickness has missing values: fill them first")
     motion = None if sample_motion is None else match_sample_motion(sample_motion, loaded)
     algebraic = algebraic_stress(loaded, initial, material, glued=glued["sample"])
-    slip_length = _slip_length(slip_length, float(initial.median()))
+    slip_length = _slip_length(slip_length, typical_thickness(initial))
     if input_errors is not None:
-        input_errors.check_thickness(float(initial.median()))
-    sizes = element_sizes(element_size, loaded, float(initial.median()))
+        input_errors.check_thickness(typical_thickness(initial))
+    sizes = element_sizes(element_size, loaded, typical_thickness(initial))
     smoothing = 0.5 * float(np.sqrt(sizes[0] * sizes[1]))
     if imprint_smoothing is not None:
         smoothing = imprint_smoothing
@@ -271,9 +277,11 @@ def computational_stress(
     if edge_check:
         with limited_threads(threads):
             report.stage("influence of the sides", 1.0)
-            influence = edge_influence(
-                problem, edges, layer_extent_of(loaded), maps["x"].values, maps["y"].values
-            )
+            within = None
+            if edges == "free" and not inside_layer(loaded).all():
+                within = imprint_of(loaded, initial, motion, smoothing, beyond=False)
+            at = maps["x"].values, maps["y"].values
+            influence = edge_influence(problem, edges, layer_extent_of(loaded), *at, within)
         maps["edge_influence"] = influence.described()
         maps.attrs |= influence.attributes
     derivatives = None

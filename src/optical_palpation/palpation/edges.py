@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
+from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.iteration import TOLERANCES, relaxed
 from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.path import StepControl
@@ -55,6 +56,9 @@ class EdgeInfluence:
         unknown.
     fraction
         Of the map, where the values exceed ``NOTABLE``; NaN where unknown.
+    beyond
+        Change of the force, as a fraction, if the thickness went on beyond the unloaded extent of
+        the layer as it is at its border; 0 where no pixel there counts.
     unknown
         Why it is not known, or "".
     """
@@ -63,6 +67,7 @@ class EdgeInfluence:
     values: Array
     force: float
     fraction: float
+    beyond: float = 0.0
     unknown: str = ""
 
     def described(self) -> xr.DataArray:
@@ -88,6 +93,7 @@ class EdgeInfluence:
         return about | {
             "edge_influence_fraction": self.fraction,
             "edge_influence_force": self.force,
+            **({"beyond_extent_force": self.beyond} if self.beyond else {}),
         }
 
 
@@ -97,6 +103,7 @@ def edge_influence(
     field: tuple[float, float, float, float],
     x: Array,
     y: Array,
+    within: Imprint | None = None,
 ) -> EdgeInfluence:
     """Compare the sides of a layer with others, on a coarse grid.
 
@@ -110,17 +117,27 @@ def edge_influence(
         Extent (x0, x1, y0, y1) of the layer without padding, mm.
     x, y
         Points of the maps, mm.
+    within
+        Imprint of the pixels in the extent of a free layer alone, where its own has others.
     """
     other: Edges = "free" if edges == "padded" else "padded"
+    apart = problem if within is None else replace(problem, imprint=within)
+    cases: list[tuple[LayerProblem, Edges]] = [(problem, edges), (apart, other)]
+    if within is not None:
+        cases.append((apart, edges))
     pressures = []
-    for sides in (edges, other):
+    for case, sides in cases:
         try:
-            pressures.append(_pressure(_solved(_coarse(problem, sides, field)), x, y))
+            pressures.append(_pressure(_solved(_coarse(case, sides, field)), x, y))
         except LoadNotReached as failure:
             unknown = f"on a coarse grid, the layer with {sides} sides {failure}"
-            return EdgeInfluence(other, np.full((y.size, x.size), np.nan), np.nan, np.nan, unknown)
-    here, there = pressures
-    return _compared(other, here, there, np.outer(_shares(y), _shares(x)))
+            nowhere = np.full((y.size, x.size), np.nan)
+            return EdgeInfluence(other, nowhere, np.nan, np.nan, unknown=unknown)
+    shares = np.outer(_shares(y), _shares(x))
+    found = _compared(other, pressures[0], pressures[1], shares)
+    if within is None:
+        return found
+    return replace(found, beyond=_compared(other, pressures[0], pressures[2], shares).force)
 
 
 def _compared(other: Edges, here: Array, there: Array, shares: Array) -> EdgeInfluence:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from math import ceil, floor, log10
+from math import ceil, floor, log10, prod
 from pathlib import Path
 
 from optical_palpation.errors import InputError, InsufficientMemoryError
@@ -99,8 +99,19 @@ def check_memory(problem: LayerProblem, solver: str = "multigrid") -> None:
     InsufficientMemoryError
         With the memory needed, the memory there is, and the element size that would fit.
     """
-    shape = problem.grid.shape
-    spacing = problem.grid.spacing[::-1]
+    check_grid_memory(problem.grid.shape, problem.grid.spacing[::-1], solver)
+
+
+def check_grid_memory(
+    shape: tuple[int, int, int], spacing: tuple[float, float, float], solver: str = "multigrid"
+) -> None:
+    """Refuse (nz, ny, nx) elements of (x, y, z) mm that cannot fit in memory.
+
+    Raises
+    ------
+    InsufficientMemoryError
+        As ``check_memory``.
+    """
 
     def needed(factor: float) -> float:
         nz, ny, nx = (max(1, round(n / factor)) for n in shape)
@@ -111,7 +122,7 @@ def check_memory(problem: LayerProblem, solver: str = "multigrid") -> None:
         direct = ", and the multigrid solver needs far less" if solver == "direct" else ""
         return f"elements of {sizes} mm (x y z) would fit{direct}"
 
-    _check(problem.grid.n_elements, needed, advice)
+    _check(prod(shape), needed, advice)
 
 
 def predicted_stack_memory(elements: int) -> float:

@@ -18,7 +18,7 @@ from optical_palpation.mechanics.grid import (
 )
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.problem import SAMPLE, LayerProblem
-from optical_palpation.thickness.frames import layer_extent_of
+from optical_palpation.thickness.frames import inside_layer, layer_extent_of, typical_thickness
 
 Array = NDArray[np.float64]
 Edges = Literal["free", "roller", "padded"]
@@ -45,15 +45,8 @@ def layer_problem(
 ) -> LayerProblem:
     """Mesh the layer and make the imprint; ``held`` says what holds ``window`` and ``sample``."""
     x0, x1, y0, y1 = layer_extent_of(loaded)
-    thickness = float(initial.median())
-    x, y = _uniform(loaded["x"].values), _uniform(loaded["y"].values)
-    values = []
-    for field in (initial, loaded) if motion is None else (initial, loaded, motion):
-        same = np.array_equal(x, field["x"]) and np.array_equal(y, field["y"])
-        values.append(field.values if same else field.interp(x=x, y=y).values)
-    imprint = Imprint(x, y, *values)
-    if smoothing > 0:
-        imprint = imprint.smoothed(smoothing)
+    thickness = typical_thickness(initial)
+    imprint = imprint_of(loaded, initial, motion, smoothing, beyond=edges == "free")
     depth, nodes_y, nodes_x = layer_nodes((x0, x1, y0, y1), thickness, sizes, edges)
     unloaded = imprint.evaluate(*np.meshgrid(nodes_x, nodes_y), 0.0)[0]
     glued = held["window"] == "glued", held["sample"] == "glued"
@@ -67,6 +60,34 @@ def layer_problem(
         slip_length=slip_length,
         glued=glued,
     )
+
+
+def imprint_of(
+    loaded: xr.DataArray,
+    initial: xr.DataArray,
+    motion: xr.DataArray | None,
+    smoothing: float,
+    *,
+    beyond: bool,
+) -> Imprint:
+    """Make the imprint, mm, smoothed; ``beyond`` says whether pixels beyond the layer count.
+
+    A free side bulges over its unloaded extent, and what was measured there is the layer. Between
+    rollers it does not, and a padded layer goes on as it is at the border.
+    """
+    fields = [loaded, initial] if motion is None else [loaded, initial, motion]
+    if not beyond:
+        inside = inside_layer(loaded)
+        here = {"y": inside.any(axis=1), "x": inside.any(axis=0)}
+        fields = [field.isel(here) for field in fields]
+    loaded, initial, *others = fields
+    x, y = _uniform(loaded["x"].values), _uniform(loaded["y"].values)
+    values = []
+    for field in (initial, loaded, *others):
+        same = np.array_equal(x, field["x"]) and np.array_equal(y, field["y"])
+        values.append(field.values if same else field.interp(x=x, y=y).values)
+    imprint = Imprint(x, y, *values)
+    return imprint.smoothed(smoothing) if smoothing > 0 else imprint
 
 
 def layer_nodes(

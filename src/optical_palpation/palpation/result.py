@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import xarray as xr
 
 from optical_palpation.arguments import check_instance, explained, in_words
@@ -27,6 +28,13 @@ class ContactState(IntEnum):
     SLIP = 1
     STICK = 2
     GLUED = 3
+
+
+#: What the numbers of ``contact_state`` maps mean, as CF has it: values of the type of the maps.
+CONTACT_FLAGS = {
+    "flag_values": np.array(list(ContactState), dtype=np.int8),
+    "flag_meanings": " ".join(state.name.lower() for state in ContactState),
+}
 
 
 class Status(StrEnum):

@@ -20,7 +20,7 @@ from optical_palpation.mechanics.stack.problem import (
     Stack,
     State,
 )
-from optical_palpation.palpation.result import ContactState
+from optical_palpation.palpation.result import CONTACT_FLAGS, ContactState
 from optical_palpation.palpation.surface import (
     SLIP_SHARE,
     MapReading,
@@ -31,10 +31,6 @@ from optical_palpation.palpation.surface import (
 )
 
 Array = NDArray[np.float64]
-_FLAGS = {
-    "flag_values": [int(s) for s in ContactState],
-    "flag_meanings": " ".join(s.name.lower() for s in ContactState),
-}
 _STRESSES = {
     "axial_stress": "true axial Cauchy stress at the sample, tension positive",
     "contact_pressure": "true contact pressure of the sample on the layer",
@@ -120,7 +116,7 @@ def observed_maps(stack: Stack, state: State, x: Array, y: Array) -> xr.Dataset:
         values = contact_states(stack, state, contact)[nearest]
         reach = np.sqrt(stack.areas[contact])[nearest]
         values = np.where(distance < reach, values, ContactState.OPEN).astype(np.int8)
-        maps[name] = (("y", "x"), values, {"long_name": name.replace("_", " "), **_FLAGS})
+        maps[name] = (("y", "x"), values, {"long_name": name.replace("_", " "), **CONTACT_FLAGS})
     maps.attrs = force_on_map(maps, {"x": surface[0], "y": surface[1], **fields})
     return maps
 
@@ -181,7 +177,7 @@ def body_dataset(stack: Stack, state: State, which: int) -> xr.Dataset:
         else:
             pressed = np.abs(traction[2]) > 2e-3 * stack.shear_modulus
             states = np.where(pressed, ContactState.SLIP, ContactState.OPEN).astype(np.int8)
-        variables[f"{face}_contact_state"] = (("y", "x"), states, _FLAGS)
+        variables[f"{face}_contact_state"] = (("y", "x"), states, CONTACT_FLAGS)
     return xr.Dataset(
         variables,
         {

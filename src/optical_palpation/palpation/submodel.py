@@ -24,7 +24,12 @@ from optical_palpation.palpation.progress import Iterations, Progress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.surface import deformed_layer, force_on_map, surface_maps
 from optical_palpation.palpation.threads import limited_threads
-from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
+from optical_palpation.thickness.frames import (
+    inside_layer,
+    layer_extent_of,
+    on_grid,
+    typical_thickness,
+)
 from optical_palpation.thickness.initial import match_initial_thickness
 
 #: Width in thicknesses of what is computed around the region and left out of the result.
@@ -74,7 +79,10 @@ def submodel_stress(
     StressResult
         Maps of the region. ``submodel_sides_error`` among the attributes estimates what the cut
         sides get wrong: the change of contact pressure in the region with half of the margin along
-        x, and that along y, as fractions (root mean squares), added. ``submodel_change`` is by how
+        x, and that along y, as fractions (root mean squares), added. What they have in common with
+        the whole, such as a pressure that its mesh makes too high everywhere, it does not see:
+        ``submodel_coarse_force_error`` is the estimated error of the whole's force by its mesh, as
+        a fraction, where that is known. ``submodel_change`` is by how
         much the axial stress differs from that of the coarse solution, ``sample_force_mN`` the
         force on the region.
 
@@ -260,7 +268,7 @@ def submodel_inputs(
     }
     pulls = held["sample"] == "glued"
     initial = match_initial_thickness(initial_thickness, loaded, glued=pulls)
-    thickness = float(initial.median())
+    thickness = typical_thickness(initial)
     _check_extent(layer_extent_of(loaded), coarse, PADDING * thickness)
     sizes = element_sizes(element_size, loaded, thickness)
     if sizes[0] * sizes[1] >= whole.grid.spacing[1] * whole.grid.spacing[2]:
@@ -298,6 +306,9 @@ _SETTINGS = ("method", "edges", "bulk_to_shear", "initial_thickness", "no_contac
 def settings_of(attrs: Mapping[Hashable, Any]) -> dict[Hashable, Any]:
     """Return the attributes of a coarse result that hold for its parts as well."""
     settings = {key: value for key, value in attrs.items() if _is_setting(str(key))}
+    if "force_mesh_error_mN" in attrs and attrs.get("sample_force_mN"):
+        share = abs(attrs["force_mesh_error_mN"] / attrs["sample_force_mN"])
+        settings["submodel_coarse_force_error"] = share
     if "unusual" in settings:  # what there is to say of its map is not said of theirs
         of_map = misread(attrs)
         said = [text for text in json.loads(settings["unusual"]) if text not in of_map]

@@ -16,7 +16,7 @@ from optical_palpation.mechanics.faces import area_vectors, carrying_areas, push
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import SAMPLE, WINDOW, LayerProblem, LayerState
-from optical_palpation.palpation.result import ContactState
+from optical_palpation.palpation.result import CONTACT_FLAGS, ContactState
 from optical_palpation.thickness.frames import layer_extent_of
 
 Array = NDArray[np.float64]
@@ -94,10 +94,6 @@ def deformed_layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[s
     def variable(dims: str, data: Array, units: str, name: str) -> tuple:
         return dims.split(), data, {"units": units, "long_name": name}
 
-    flags = {
-        "flag_values": [int(s) for s in ContactState],
-        "flag_meanings": " ".join(s.name.lower() for s in ContactState),
-    }
     layer = xr.Dataset(
         {
             "position": variable(
@@ -115,8 +111,8 @@ def deformed_layer(solution: Solution, now: Balance) -> tuple[xr.Dataset, dict[s
             "window_traction": variable(
                 "y x component", np.moveaxis(traction[WINDOW], 0, -1), "kPa", "window traction"
             ),
-            "sample_contact_state": (("y", "x"), contact[SAMPLE], flags),
-            "window_contact_state": (("y", "x"), contact[WINDOW], flags),
+            "sample_contact_state": (("y", "x"), contact[SAMPLE], CONTACT_FLAGS),
+            "window_contact_state": (("y", "x"), contact[WINDOW], CONTACT_FLAGS),
         },
         {
             "x": variable("x", grid.x, "mm", "reference position x"),
@@ -410,8 +406,7 @@ def surface_maps(
             values,
             {
                 "long_name": name.replace("_", " "),
-                "flag_values": [int(s) for s in ContactState],
-                "flag_meanings": " ".join(s.name.lower() for s in ContactState),
+                **CONTACT_FLAGS,
             },
         )
     maps["loaded_thickness"] = loaded.interp(x=x, y=y, kwargs={"fill_value": "extrapolate"})

@@ -12,17 +12,13 @@ import xarray as xr
 from optical_palpation.arguments import explained, file_path
 from optical_palpation.errors import InputError
 from optical_palpation.files import netcdf
-from optical_palpation.palpation.result import ContactState, StressResult
+from optical_palpation.palpation.result import CONTACT_FLAGS, StressResult
 from optical_palpation.present.output import atomic, provenance
 from optical_palpation.present.state import GROUPS, read_state, state_groups
 from optical_palpation.volume import hdf5
 
 _MM = {"units": "mm"}
 _KPA = {"units": "kPa"}
-_STATE = {
-    "flag_values": np.array([state.value for state in ContactState], dtype=np.int8),
-    "flag_meanings": " ".join(state.name.lower() for state in ContactState),
-}
 _ATTRIBUTES: dict[str, dict[str, Any]] = {
     "x": {**_MM, "long_name": "lateral position x", "axis": "X"},
     "y": {**_MM, "long_name": "lateral position y", "axis": "Y"},
@@ -35,8 +31,8 @@ _ATTRIBUTES: dict[str, dict[str, Any]] = {
     "traction_x": {**_KPA, "long_name": "x component of the traction of the sample on the layer"},
     "traction_y": {**_KPA, "long_name": "y component of the traction of the sample on the layer"},
     "traction_z": {**_KPA, "long_name": "z component of the traction of the sample on the layer"},
-    "contact_state": {**_STATE, "long_name": "contact between layer and sample"},
-    "window_contact_state": {**_STATE, "long_name": "contact between layer and window"},
+    "contact_state": {**CONTACT_FLAGS, "long_name": "contact between layer and sample"},
+    "window_contact_state": {**CONTACT_FLAGS, "long_name": "contact between layer and window"},
     "loaded_thickness": {**_MM, "long_name": "loaded thickness of the layer"},
     "algebraic_axial_stress": {**_KPA, "long_name": "axial stress by the algebraic method"},
     "edge_influence": {"units": "1", "long_name": "influence of the layer's sides"},
@@ -45,7 +41,7 @@ _ATTRIBUTES: dict[str, dict[str, Any]] = {
     "cauchy_stress": {**_KPA, "long_name": "Cauchy stress, mean of each element"},
     "sample_traction": {**_KPA, "long_name": "traction of the sample on the layer"},
     "window_traction": {**_KPA, "long_name": "traction of the window on the layer"},
-    "sample_contact_state": {**_STATE, "long_name": "contact between layer and sample"},
+    "sample_contact_state": {**CONTACT_FLAGS, "long_name": "contact between layer and sample"},
 }
 # Inside the file the nodes of the layer need axis names of their own: tools that read the groups
 # of a file as one tree (such as xarray.open_datatree) take equal names for equal axes.

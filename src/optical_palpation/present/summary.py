@@ -79,9 +79,11 @@ def force_error(attrs: Mapping[Hashable, Any]) -> float | None:
     return float(np.hypot.reduce(known)) if known else None
 
 
-def of_mesh_alone(attrs: Mapping[Hashable, Any]) -> bool:
-    """Whether the only error that is known is that of the mesh, which leaves the inputs out."""
-    return force_error(attrs) is not None and "force_error_mN" not in attrs
+def without_inputs(attrs: Mapping[Hashable, Any]) -> str:
+    """Say of what alone the known error is, where it leaves the inputs out; else ""."""
+    if has_bands(attrs):
+        return "" if json.loads(attrs["error_bands"]) else "noise and mesh"
+    return "mesh" if force_error(attrs) is not None and "force_error_mN" not in attrs else ""
 
 
 def mean_stress(maps: xr.Dataset, name: str = "axial_stress") -> float:
@@ -220,9 +222,10 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
         ]
     modulus = maps["sample_youngs_modulus"].values
     error = maps["sample_modulus_error"].values
+    alone = f", of {of} alone" if (of := without_inputs(attrs)) else ""
     lines = [
         f"total force: 95 % band ±{rounded(attrs['force_error_mN'], digits=2)} mN; axial stress: "
-        f"±{np.nanmedian(maps['axial_stress_error']):.2g} kPa (median)"
+        f"±{rounded(np.nanmedian(maps['axial_stress_error']), digits=2)} kPa (median){alone}"
     ]
     if np.isfinite(modulus).any():
         low, middle, high = np.nanpercentile(modulus, [5, 50, 95])
@@ -234,12 +237,7 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
             f"known on {percent(np.isfinite(modulus).mean())} of the map"
         )
     if "sample_relief" in maps and maps["sample_relief"].notnull().any():
-        low, high = np.nanpercentile(maps["sample_relief"].values, [1, 99])
-        band = np.nanmedian(maps["sample_relief_error"].values)
-        lines.append(
-            f"relief of the sample, found: 98 % of it within {1e3 * low:+.2g} ... "
-            f"{1e3 * high:+.2g} um of its mean height, 95 % band ±{1e3 * band:.2g} um (median)"
-        )
+        lines.append(f"relief of the sample, found: {of_relief(maps)}")
     lines.append(
         f"thickness: computed and measured differ by {1e3 * attrs['thickness_misfit_mm']:.2g} um, "
         f"{attrs['misfit_over_tolerance']:.1f} times what noise "
@@ -247,6 +245,17 @@ def _of_sample(maps: xr.Dataset) -> list[str]:
         f"{attrs['forward_solutions']} forward solutions"
     )
     return lines
+
+
+def of_relief(maps: xr.Dataset) -> str:
+    """Say what relief of the sample was found."""
+    low, high = 1e3 * np.nanpercentile(maps["sample_relief"].values, [1, 99])
+    band = 1e3 * np.nanmedian(maps["sample_relief_error"].values)
+    ends = " ... ".join(rounded(end, band).split()[0] for end in (low, high))
+    return (
+        f"98 % of it within {ends} um of its mean height, 95 % band ±{rounded(band, digits=2)} um "
+        "(median)"
+    )
 
 
 def within_map(attrs: Mapping[Hashable, Any]) -> str:
@@ -259,10 +268,12 @@ def within_map(attrs: Mapping[Hashable, Any]) -> str:
 
 def of_series(series: xr.Dataset) -> str:
     """Travel and force of each load of a series."""
+    forces = series["window_force"]
+    errors = series.get("force_error", xr.full_like(forces, np.nan))
     return ", ".join(
-        f"{travel:.3g} mm {rounded(force)} mN"
-        for travel, force in zip(
-            series["compression"].values, series["window_force"].values, strict=True
+        f"{travel:.3g} mm {rounded(force, error)} mN"
+        for travel, force, error in zip(
+            series["compression"].values, forces.values, errors.values, strict=True
         )
     )
 
@@ -284,16 +295,21 @@ def of_solution(attrs: Mapping[Hashable, Any]) -> list[str]:
     return said
 
 
-def _submodel(attrs: Mapping[Hashable, Any]) -> list[str]:
+def of_submodel(attrs: Mapping[Hashable, Any]) -> list[str]:
     """Say what part of a layer was computed, and how well."""
     x0, x1, y0, y1 = attrs["submodel_region_mm"]
     part = "part" if "tiles" not in attrs else "worst tile"
+    level = attrs.get("submodel_coarse_force_error")
+    of_mesh = "unknown, as is the error of its force by its mesh"
+    if level is not None:
+        of_mesh = f"up to {percent(level)}, the error of its force by its mesh"
     lines = [
         f"region: x {x0:g} to {x1:g} mm, y {y0:g} to {y1:g} mm, force of the sample on it "
         f"{attrs['sample_force_mN']:.1f} mN",
         f"axial stress differs by {percent(attrs['submodel_change'])} from that of the coarse "
         f"solution; the sides of the {part} account for about "
-        f"{percent(attrs['submodel_sides_error'])}",
+        f"{percent(attrs['submodel_sides_error'])}, and what the coarse solution gets wrong of the "
+        f"pressure everywhere for {of_mesh}",
     ]
     if "tiles" not in attrs:
         return lines
@@ -322,11 +338,15 @@ def summarise(result: StressResult) -> str:
         if (key := f"{side}_force_mN") in maps.attrs
     ]
     if "submodel_region_mm" in maps.attrs:
-        lines += _submodel(maps.attrs)
+        lines += of_submodel(maps.attrs)
     elif forces:
         within = within_map(maps.attrs)
+        given = maps.attrs.get("total_force_given_mN")
         lines.append(
-            "total force: " + ", ".join(forces) + f"; within the map {within}" * bool(within)
+            "total force: "
+            + ", ".join(forces)
+            + f"; within the map {within}" * bool(within)
+            + ("" if given is None else f"; given {given:g} mN")
         )
     if "force_mesh_error_mN" in maps.attrs:
         said = mesh_error(maps.attrs)

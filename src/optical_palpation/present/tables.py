@@ -15,8 +15,8 @@ from optical_palpation.present.summary import (
     force_error,
     mean_stress_error,
     methods,
-    of_mesh_alone,
     touching_share,
+    without_inputs,
 )
 from optical_palpation.present.terms import plain, rounded
 
@@ -85,7 +85,7 @@ def result_columns(result: StressResult) -> dict[str, Any]:
     row: dict[str, Any] = {}
     for side in ("window", "sample"):
         row[f"{side}_force_mN"] = float(about[f"{side}_force_mN"])
-    complete = not of_mesh_alone(about)  # the error by the mesh is a part of the error
+    complete = not without_inputs(about)  # what leaves them out is a part of the error
     if complete and (error := force_error(about)) is not None:
         row["force_error_mN"] = error
     for method, stress in (
@@ -102,6 +102,8 @@ def result_columns(result: StressResult) -> dict[str, Any]:
             ("sample_youngs_modulus", "median_sample_youngs_modulus_kPa"),
             ("sample_modulus_error", "median_sample_modulus_error_fraction"),
         ):
+            if name == "sample_modulus_error" and not complete:
+                continue
             known = maps[name].values[np.isfinite(maps[name].values)]
             row[column] = float(np.median(known)) if known.size else np.nan
         row["compression_mm"] = float(about.get("compression_mm", np.nan))

@@ -152,19 +152,28 @@ def common_limits(
 def rounded(value: Any, error: Any = None, *, digits: int = 3) -> str:
     """A number to the digits that its error leaves, two of the error; else to some digits.
 
-    So 412.3 with an error of 11.7 is 412 +- 12.
+    So 412.3 with an error of 11.7 is 412 +- 12, and 0.5 with none is 0.500.
     """
     value = float(value)
     if error is None or not (np.isfinite(float(error)) and float(error) > 0):
-        text = f"{value:.{digits}g}"
-        if "e" in text and 1e-4 < abs(value) < 1e6:  # no 1.2e+03 mN
-            text = f"{float(text):.0f}"
-        return text.replace("-", "\N{MINUS SIGN}")
+        return _significant(value, f"#.{digits}g" if value else "g").removesuffix(".")
     error = float(f"{float(error):.1e}")
     place = 1 - int(np.floor(np.log10(error)))
     places = max(0, place)
     value = round(value, place) + 0.0  # what rounds to zero has no sign
     text = f"{value:.{places}f} \N{PLUS-MINUS SIGN} {error:.{places}f}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def as_given(value: Any, *, digits: int = 3) -> str:
+    """A number that somebody gave: 0.05 and not 0.0500."""
+    return _significant(float(value), f".{digits}g")
+
+
+def _significant(value: float, form: str) -> str:
+    text = format(value, form)
+    if "e" in text and 1e-4 < abs(value) < 1e6:  # no 1.2e+03 mN
+        text = f"{float(text):.0f}"
     return text.replace("-", "\N{MINUS SIGN}")
 
 
@@ -180,4 +189,4 @@ def percent(fraction: Any, *, digits: int = 2) -> str:
         return f"below {_LEAST_PERCENT:g} %"
     if 0 < 100 - value < 10:  # what is left counts: 99.8 % open is not 100 %
         digits = max(digits, 2 - int(np.floor(np.log10(100 - value))))
-    return f"{rounded(value, digits=min(digits, 5))} %"
+    return f"{as_given(value, digits=min(digits, 5))} %"

@@ -49,7 +49,7 @@ _HIGHEST = 0.2
 #: Largest change of the travel in a step, as a share of it.
 _FARTHEST = 0.2
 #: Tolerance of a given total force.
-_FORCE = 0.01
+FORCE = 0.01
 #: A step counts as none if stiffness, and heights in thicknesses of the layer, change by less than
 #: this (root mean square).
 _STILL = 0.01
@@ -458,14 +458,14 @@ class _Search:
         """What the total forces are off by, over their tolerance; none where travels are given."""
         if not self.forces.size:
             return np.zeros(0)
-        return (np.array([p.force for p in pressed]) / self.forces - 1) / _FORCE
+        return (np.array([p.force for p in pressed]) / self.forces - 1) / FORCE
 
     def _per_force(self, weight: Array) -> Array:
         """Weight of the forces, 1/mN: each counts as much as the thickness at all nodes.
 
         The error of the mesh is alike at many of them, and they would outvote it.
         """
-        return np.sqrt(np.count_nonzero(weight)) / (_FORCE * self.forces)
+        return np.sqrt(np.count_nonzero(weight)) / (FORCE * self.forces)
 
     def _step(
         self, system: _System, row: Array, unknown: float = 0.0

@@ -62,6 +62,7 @@ def sample_result(
     sample: Sample,
     model: Model,
     measured: Sequence[ThicknessSurface],
+    doubts: Sequence[str] = (),
 ) -> StressResult:
     """Return the result of an estimate.
 
@@ -77,6 +78,8 @@ def sample_result(
         The model on the finest mesh.
     measured
         The surfaces of the loaded thickness.
+    doubts
+        What there is to say of it already.
     """
     blocks, columns = model.blocks, model.columns
     size = columns.x[1] - columns.x[0], columns.y[1] - columns.y[0]
@@ -119,7 +122,8 @@ def sample_result(
         "no_contact_share": algebraic.attrs["no_contact_share"],
         "slip_length_mm": stack.slip_length,
     }
-    maps.attrs["unusual"] = json.dumps([*unusual(blocks.law, maps), *_doubts(estimate, near)])
+    said = [*unusual(blocks.law, maps), *_doubts(estimate, errors, near), *doubts]
+    maps.attrs["unusual"] = json.dumps(said)
     return StressResult(
         maps,
         body_dataset(stack, state, LAYER),
@@ -128,9 +132,18 @@ def sample_result(
     )
 
 
-def _doubts(estimate: Estimate, near: NDArray[np.bool_]) -> list[str]:
-    """Say what bands do not hold: points not ``near`` measured ones, and a model that is off."""
+def _doubts(estimate: Estimate, errors: Errors, near: NDArray[np.bool_]) -> list[str]:
+    """Say what bands do not hold.
+
+    That are points not ``near`` measured ones, a model that is off, and inputs with whose errors it
+    does not reach the load.
+    """
     said = []
+    if left_out := [name for name, of in errors.inputs.items() if of["force_mN"] is None]:
+        said.append(
+            f"the bands leave out the error of {', '.join(left_out).replace('_', ' ')}: with an "
+            "input that is off by so much the model does not reach the load"
+        )
     if not near.all():
         said.append(
             f"on {1 - near.mean():.0%} of the map the thickness was not measured within a layer's "
@@ -147,10 +160,13 @@ def _doubts(estimate: Estimate, near: NDArray[np.bool_]) -> list[str]:
     return said
 
 
-def as_rigid(results: Sequence[StressResult], sample: Sample, blocks: Blocks) -> StressResult:
+def as_rigid(
+    results: Sequence[StressResult], sample: Sample, blocks: Blocks, doubts: Sequence[str] = ()
+) -> StressResult:
     """Return the last result of a layer on an imprint, as one with a sample that is rigid.
 
-    Nothing can be said of its stiffness. With several loads the earlier ones go into the series.
+    ``doubts`` say what there is to say of it already. Nothing can be said of its stiffness. With
+    several loads the earlier ones go into the series.
     """
     for result in results:
         still = xr.zeros_like(result.maps["axial_stress"])
@@ -161,6 +177,8 @@ def as_rigid(results: Sequence[StressResult], sample: Sample, blocks: Blocks) ->
             result.maps[name] = values.assign_attrs(units=units, long_name=text)
         result.maps.attrs |= _sample_attributes(sample, blocks) | {"sample_rigid": "yes"}
     last = results[-1]
+    unusual_so_far = json.loads(last.maps.attrs.get("unusual", "[]"))
+    last.maps.attrs["unusual"] = json.dumps([*unusual_so_far, *doubts])
     travels = sample.travels
     if travels is not None:
         last.maps.attrs["compression_mm"] = travels[-1]
@@ -315,6 +333,7 @@ def _sample_attributes(sample: Sample, blocks: Blocks) -> dict[str, Any]:
         "sample_size_mm": [float(width) for width in blocks.sample_size],
         "sample_relief": known,
         "sample_law": json.dumps(blocks.sample_law.attributes),
+        **({"total_force_given_mN": sample.forces[-1]} if sample.forces else {}),
         **{
             f"sample_relief_{key}": value
             for key, value in ({} if relief is None else relief.attrs).items()

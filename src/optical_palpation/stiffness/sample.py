@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -12,11 +13,20 @@ import xarray as xr
 from optical_palpation.arguments import check_instance, numbers
 from optical_palpation.errors import InputError
 from optical_palpation.material import Law
+from optical_palpation.palpation.input_errors import INPUT_ERRORS
 from optical_palpation.palpation.plausibility import LARGEST_MEAN_STRESS, WIDEST_FIELD
-from optical_palpation.thickness.frames import inside_layer, layer_extent_of, on_grid
+from optical_palpation.thickness.frames import (
+    inside_layer,
+    layer_extent_of,
+    on_grid,
+    typical_thickness,
+)
 
 #: By how much larger elements are, at least, of the mesh on which sensitivities are computed.
 COARSER = 2.0
+#: Share of the travel that a sample must take, or it is as good as rigid: nobody knows the travel
+#: much better.
+RIGID = 0.03
 #: Share of the sample's thickness by which it can be compressed at most.
 _MOST_COMPRESSED = 0.7
 #: Loads must differ by this share of the travel, or force, at least.
@@ -164,8 +174,11 @@ def check_sample(
                 "sample: total forces alone do not tell relief from stiffness: give the "
                 'compression of each load, or the relief ("flat" if it is)'
             )
+        _check_order(sample.forces or (), "mN", loads)
+        _check_different(loads)
         return
-    together = float(initial.median()) + sample.thickness
+    _check_order(sample.travels, "mm", loads)
+    together = typical_thickness(initial) + sample.thickness
     for n, (travel, measured) in enumerate(zip(sample.travels, loads, strict=True), start=1):
         here = "" if len(loads) == 1 else f" of load {n}"
         if travel >= together:
@@ -175,8 +188,8 @@ def check_sample(
             )
         unloaded = initial if measured is loads[-1] else initial.interp_like(measured)
         typical = float((unloaded - measured).where(inside_layer(measured)).median())
-        known = isinstance(sample.relief, str) or (sample.relief is None and len(loads) == 1)
-        if known and typical > travel:
+        # The travel counts from the first contact, whatever the relief.
+        if typical > (1 + RIGID) * travel:
             raise InputError(
                 f"sample: the layer is thinner by {typical:.3g} mm, more than the compression"
                 f"{here} of {travel:g} mm: the plate cannot have moved less than the layer gave way"
@@ -188,6 +201,7 @@ def check_sample(
                 f"{typical:.3g} mm, and the rest is more than {_MOST_COMPRESSED:.0%} of the "
                 f"sample's thickness, {sample.thickness:g} mm"
             )
+    _check_different(loads)
 
 
 def _check_numbers(sample: Sample, loads: int) -> None:
@@ -218,6 +232,28 @@ def _check_numbers(sample: Sample, loads: int) -> None:
             raise InputError(
                 f"sample: the {words[name]} must rise from map to map, by {_DIFFERENT:.0%} of the "
                 f"largest at least, not {said} {units}: give the maps in the order of loading"
+            )
+
+
+def _check_order(given: Sequence[float], units: str, loads: Sequence[xr.DataArray]) -> None:
+    """Refuse maps that are not in the order of rising load, as the thickness tells."""
+    for n, (first, second) in enumerate(pairwise(loads), start=1):
+        thicker = (second - first.interp_like(second)).where(inside_layer(second)).mean()
+        if thicker > INPUT_ERRORS.thickness:
+            raise InputError(
+                f"sample: the layer of map {n + 1} of {len(loads)}, for {given[n]:g} {units}, is "
+                f"{1e3 * float(thicker):.3g} um thicker on average than that of map {n}, for "
+                f"{given[n - 1]:g} {units}: a layer gets thinner under rising load. Give the maps "
+                "in the order of loading, and the numbers in the same order"
+            )
+
+
+def _check_different(loads: Sequence[xr.DataArray]) -> None:
+    """Refuse a map that is given twice."""
+    for n, (first, second) in enumerate(pairwise(loads), start=1):
+        if first.equals(second):
+            raise InputError(
+                f"sample: maps {n} and {n + 1} of {len(loads)} are the same: give that of each load"
             )
 
 

@@ -31,18 +31,24 @@ from optical_palpation.palpation.result import StressResult
 from optical_palpation.palpation.threads import limited_threads
 from optical_palpation.stiffness.errors import propagated
 from optical_palpation.stiffness.forward import Columns, Model, Sought, meshes_of
-from optical_palpation.stiffness.inversion import Estimate, invert
+from optical_palpation.stiffness.inversion import FORCE, Estimate, invert
 from optical_palpation.stiffness.maps import as_rigid, sample_result
 from optical_palpation.stiffness.measurement import ThicknessSurface, without_noise
 from optical_palpation.stiffness.sample import (
     COARSER,
+    RIGID,
     Sample,
     as_loads,
     check_sample,
     check_sample_elements,
 )
 from optical_palpation.thickness.cleaning import clean_thickness
-from optical_palpation.thickness.frames import layer_extent_of, on_grid, smooth_map
+from optical_palpation.thickness.frames import (
+    layer_extent_of,
+    on_grid,
+    smooth_map,
+    typical_thickness,
+)
 from optical_palpation.thickness.initial import match_initial_thickness
 
 Array = NDArray[np.float64]
@@ -53,9 +59,6 @@ _COARSE_ELEMENTS = 5000
 _NO_FIT = 5.0
 #: The same as a share of the indentation, where the mesh is too coarse to tell.
 _FAR_OFF = 0.1
-#: Share of the travel that a sample must take, or it is as good as rigid: nobody knows the travel
-#: much better.
-_RIGID = 0.03
 #: By so many standard deviations of its surface a layer is thinner where something touches it.
 _TOUCHING = 5.0
 #: Share of the sample's thickness that the travel has more than the layer takes, to begin with
@@ -137,7 +140,7 @@ def sample_stress(
     if smoothing is not None and not (np.isfinite(smoothing) and smoothing > 0):
         raise InputError(f"smoothing must be a positive number, not {smoothing!r}")
     x0, x1, y0, y1 = extent = layer_extent_of(loads[-1])
-    thickness = float(initial.median())
+    thickness = typical_thickness(initial)
     if input_errors is not None:
         input_errors.check_thickness(thickness)
     check_elements(element_size, (x1 - x0, y1 - y0), thickness, "the thickness of the layer")
@@ -174,13 +177,13 @@ def sample_stress(
         ]
         of_each = [result.maps.attrs for result in still]
         parts = "force_error_mN", "force_mesh_error_mN"
-        _check_force(
+        doubts = _check_force(
             sample,
             sample.travels or (),
             [attrs["window_force_mN"] for attrs in of_each],
             [float(np.hypot(*(attrs.get(name, 0.0) for name in parts))) for attrs in of_each],
         )
-        return as_rigid(still, sample, blocks)
+        return as_rigid(still, sample, blocks, doubts)
     blocks = replace(blocks, travel=start.travels[-1])
     fine, coarse = _models(blocks, Mesh(element_size), columns, thickness)
     solved = 0
@@ -210,13 +213,13 @@ def sample_stress(
             f"{failure.reason}. Check the compression and the "
             "thickness of the sample, or try another element_size"
         ) from None
-    _check_force(
+    doubts = _check_force(
         sample,
         estimate.sought.travels,
         [pressed.force for pressed in estimate.pressed],
         [band.force for band in errors.loads],
     )
-    return sample_result(estimate, errors, loads, initial_thickness, sample, fine, measured)
+    return sample_result(estimate, errors, loads, initial_thickness, sample, fine, measured, doubts)
 
 
 def _flat(x: Array, _: Array) -> Array:
@@ -287,13 +290,13 @@ def _is_rigid(shorter: float, travel: float) -> bool:
     InputError
         If it would get longer.
     """
-    if shorter < -_RIGID * travel:
+    if shorter < -RIGID * travel:
         raise InputError(
             f"sample: where it touches, the layer gave way by {-shorter:.3g} mm more than a "
             f"compression of {travel:.3g} mm and the relief leave it: the plate cannot have moved "
             "so little. Check the compression, the relief and the unloaded thickness"
         )
-    return shorter < _RIGID * travel
+    return shorter < RIGID * travel
 
 
 @dataclass(frozen=True)
@@ -364,22 +367,35 @@ def _on_imprint(
 
 def _check_force(
     sample: Sample, travels: Sequence[float], forces: Sequence[float], bands: Sequence[float]
-) -> None:
-    """Refuse a total force that the travel of the plate contradicts.
+) -> list[str]:
+    """Refuse a total force that contradicts the travel; say which lies beyond its error.
 
     Raises
     ------
     ConvergenceError
     """
+    said = []
     for given, travel, force, band in zip(
         sample.forces or (), travels, forces, bands, strict=False
     ):
+        # A force that was sought is met to a tolerance, and the band has its error already.
+        reading = given * (_FORCE_READING if sample.travels else FORCE)
+        found = f"{force:.4g} +- {band:.2g} mN"
         if abs(force - given) > band + _FORCE_READING * given:
             raise ConvergenceError(
                 f"sample: compression and total force contradict each other: with a travel of "
-                f"{travel:.3g} mm the force would be {force:.4g} +- {band:.2g} mN, "
-                f"not {given:g} mN. Give the one that is known better"
+                f"{travel:.3g} mm the force would be {found}, not {given:g} mN. Give the one that "
+                "is known better"
+                if sample.travels
+                else f"sample: no travel makes the total force of {given:g} mN; the nearest, "
+                f"{travel:.3g} mm, makes {found}. Check the force and the thickness of the sample"
             )
+        if abs(force - given) > np.hypot(band, reading):
+            said.append(
+                f"the total force found, {found}, and the one given, {given:g} mN, differ by more "
+                "than their errors: check the force, the travel and the frictions"
+            )
+    return said
 
 
 def _check_fit(estimate: Estimate) -> None:
@@ -422,6 +438,6 @@ def _check_fit(estimate: Estimate) -> None:
             f"no stiffness of the sample explains the loaded thickness{here}: it stays off by "
             f"{1e3 * off:.3g} um ({share:.0%} of the indentation, {left:.1f} times "
             f"what noise and mesh explain), most at x = {at_x:.2f}, y = {at_y:.2f} mm. Check the "
-            "compression, the thickness and the relief of the sample, and the unloaded thickness"
-            + coarse
+            "compression, the thickness and the relief of the sample, the unloaded thickness, and "
+            "that pixels beside the layer are missing" + coarse
         )

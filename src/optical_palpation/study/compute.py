@@ -26,6 +26,7 @@ from optical_palpation.thickness import (
     thickness_map,
 )
 from optical_palpation.thickness.frames import inside_layer
+from optical_palpation.thickness.initial import filled_there
 
 
 def thickness_of(study: Study, found: Mapping[str, xr.Dataset]) -> xr.Dataset:
@@ -57,7 +58,6 @@ def thickness_of(study: Study, found: Mapping[str, xr.Dataset]) -> xr.Dataset:
         for side in by_side(study)
     }
     attrs = cleaned.attrs | {"boundaries": json.dumps(how)}
-    here = {"y": loaded["y"], "x": loaded["x"]}
     if isinstance(study.unloaded, NumberInput):
         initial: Any = study.unloaded.thickness
         made_up = xr.zeros_like(cleaned["filled"])
@@ -71,10 +71,7 @@ def thickness_of(study: Study, found: Mapping[str, xr.Dataset]) -> xr.Dataset:
             attrs["registration_shift_mm"] = list(shift)  # y, x
         whole = clean_thickness(unloaded)
         initial = whole["thickness"]
-        # Between pixels of another grid the thickness is interpolated, and what was filled counts.
-        within = {a: at.clip(whole[a].min(), whole[a].max()) for a, at in here.items()}
-        made_up = whole["filled"].astype(float).interp(within).assign_coords(here) > 1e-6
-        made_up.attrs = whole["filled"].attrs
+        made_up = filled_there(whole["filled"], loaded)
     matched = match_initial_thickness(
         initial, cleaned["thickness"], glued=study.friction.sample_glued
     )

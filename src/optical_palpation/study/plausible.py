@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from optical_palpation.errors import InputError, MaterialError
-from optical_palpation.palpation.meshing import SLIP_LENGTHS
+from optical_palpation.errors import InputError, InsufficientMemoryError, MaterialError
+from optical_palpation.mechanics.stack.assembly import Blocks, Mesh
+from optical_palpation.palpation.memory import check_grid_memory, check_stack_memory
+from optical_palpation.palpation.meshing import SLIP_LENGTHS, layer_nodes
 from optical_palpation.palpation.motion import check_motion
 from optical_palpation.palpation.plausibility import (
     check_count,
@@ -48,14 +50,13 @@ def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
         raise MaterialError(f"{study.where('[material]')}: {error}") from error
     fields, depths = {}, []
     for side, source in study.inputs.items():
+        fields[side] = _field(study, source, inputs.get(side, {}))
         if isinstance(source, VolumeInput):
             start, length = _extent_of_volume(inputs[side]["metadata"])
-            fields[side] = (start[2], start[2] + length[2], start[1], start[1] + length[1])
             depths.append((length[0], f"the depth of the {side} volume"))
             _check_ranges(source, start[0], start[0] + length[0], study.where(f"[{side}]"))
             _check_corrections(study, side, source, inputs[side]["metadata"])
         else:
-            fields[side] = _field_of_map(study, source)
             depths.append((_thickest(study, source), f"the {side} layer"))
         x0, x1, y0, y1 = fields[side]
         check_field(x1 - x0, y1 - y0, study.where(f"[{side}]"))
@@ -111,6 +112,53 @@ def check_study(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
         )
 
 
+def check_study_memory(study: Study, inputs: Mapping[str, Mapping[str, Any]]) -> None:
+    """Refuse elements that the memory of this machine cannot hold.
+
+    A layer that has to be found in a volume is taken to be as thin as an element: it is no less.
+
+    Raises
+    ------
+    InsufficientMemoryError
+    """
+    size = study.grid.element_size
+    if size is None:
+        return
+    extent = _layer(study, _field(study, study.loaded, inputs["loaded"]))
+    x, y, z = (float(v) for v in np.broadcast_to(size, 3))
+    thickness = _unloaded(study) or z
+    try:
+        if study.sample.modelled:
+            check_stack_memory(even_blocks(study, extent, thickness), Mesh(z))
+            return
+        edges = study.grid.edges
+        depth, nodes_y, nodes_x = layer_nodes(extent, thickness, (x, y, z), edges)
+        shape = len(depth) - 1, len(nodes_y) - 1, len(nodes_x) - 1
+        check_grid_memory(shape, (x, y, z), study.grid.solver)
+    except InsufficientMemoryError as error:
+        raise InsufficientMemoryError(f"{study.where('[grid]')}: {error}") from error
+
+
+def even_blocks(
+    study: Study, extent: tuple[float, float, float, float], thickness: float
+) -> Blocks:
+    """Layer and sample of a study as if both were flat: as many elements as they will have, mm."""
+    sample, law = study.sample, study.material.make()
+    assert sample.thickness is not None
+    x0, x1, y0, y1 = extent
+    return Blocks(
+        extent=extent,
+        thickness=lambda x, _: np.full(np.shape(x), thickness),
+        law=law,
+        sample_size=sample.size or (x1 - x0, y1 - y0),
+        sample_thickness=sample.thickness,
+        sample_law=law,
+        relief=lambda x, _: np.zeros(np.shape(x)),
+        friction=(0.0, 0.0, 0.0),
+        travel=0.0,
+    )
+
+
 def _check_sample(study: Study) -> None:
     """Refuse a sample that does not fit to the layer, whose thickness is known if it is a map."""
     where = study.where("[sample]")
@@ -139,7 +187,13 @@ def _extent_of_volume(metadata: Mapping[str, Any]) -> tuple[list[float], list[fl
     return list(metadata["origin"]), [(count - 1) * step for count, step in steps]
 
 
-def _field_of_map(study: Study, source: MapInput) -> tuple[float, float, float, float]:
+def _field(
+    study: Study, source: VolumeInput | MapInput, facts: Mapping[str, Any]
+) -> tuple[float, float, float, float]:
+    """x0, x1, y0, y1 of a volume or map, mm."""
+    if isinstance(source, VolumeInput):
+        (_, y0, x0), (_, length_y, length_x) = _extent_of_volume(facts["metadata"])
+        return x0, x0 + length_x, y0, y0 + length_y
     read = _read(study, source)
     x, y = read["x"].values, read["y"].values
     return float(x[0]), float(x[-1]), float(y[0]), float(y[-1])

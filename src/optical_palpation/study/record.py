@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import platform
 import shutil
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -25,7 +27,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from optical_palpation.errors import ConvergenceError, FolderBusyError, InputError, OutputError
-from optical_palpation.files import is_left_over_of, replacing
+from optical_palpation.files import check_target, is_left_over_of, replacing
 from optical_palpation.runtime import software_version, source_digest
 
 RECORD = "provenance.json"
@@ -217,15 +219,32 @@ def sha256(path: Path) -> str:
 
 
 def check_folder(folder: Path, study: str) -> None:
-    """Refuse a result folder that holds something else than the results of a study.
+    """Refuse a result folder that cannot be made, or holds something else than a study's results.
 
     Raises
     ------
     OutputError
         As :func:`make_all`.
     """
-    if folder.exists():
-        _open(folder, study)
+    try:
+        if folder.exists():
+            _open(folder, study)
+            check_target(folder / RECORD)
+            return
+        there = next(path for path in folder.parents if os.path.lexists(path))
+        with tempfile.TemporaryDirectory(dir=there) as trial:
+            (Path(trial) / folder.relative_to(there)).mkdir(parents=True)
+        if folder.is_symlink():
+            raise FileExistsError("a link to nothing")
+    except OSError as error:
+        raise _not_made(folder, error) from error
+
+
+def _not_made(folder: Path, error: OSError) -> OutputError:
+    reason = error.strerror or error
+    return OutputError(
+        f"{folder}: the result folder cannot be made ({reason}); choose another in [outputs]"
+    )
 
 
 def _open(folder: Path, study: str) -> dict[str, Any]:
@@ -234,10 +253,7 @@ def _open(folder: Path, study: str) -> dict[str, Any]:
         folder.mkdir(parents=True, exist_ok=True)
         visible = [path.name for path in folder.iterdir() if not path.name.startswith(".")]
     except OSError as error:
-        reason = error.strerror or error
-        raise OutputError(
-            f"{folder}: the result folder cannot be made ({reason}); choose another in [outputs]"
-        ) from error
+        raise _not_made(folder, error) from error
     if not visible:
         return {}
     try:

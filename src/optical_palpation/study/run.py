@@ -21,7 +21,7 @@ from optical_palpation.study.inputs import (
     read_sample,
     sample_input,
 )
-from optical_palpation.study.plausible import check_study
+from optical_palpation.study.plausible import check_study, check_study_memory
 from optical_palpation.study.record import Progress, check_folder, make_all
 from optical_palpation.study.schema import MapInput, Study
 from optical_palpation.study.stages import (
@@ -77,9 +77,9 @@ def describe_inputs(study: Study) -> str:
     Raises
     ------
     InputError, MaterialError
-        If an input cannot be used, or numbers do not fit together.
+        If an input cannot be used, numbers do not fit together, or memory does not suffice.
     OutputError
-        If the result folder holds something else.
+        If the result folder cannot be made, or holds something else.
     """
     check_folder(study.folder, study.file.name)
     said, inputs = [], {}
@@ -98,6 +98,7 @@ def describe_inputs(study: Study) -> str:
             raise InputError(f"{study.where(f'[{side}]')}: {error}") from error
     read_sample(study)
     check_study(study, inputs)
+    check_study_memory(study, inputs)
     if not by_side(study):  # of maps alone the algebraic method costs nothing
         try:
             algebraic_of(study, thickness_of(study, {}))

@@ -187,6 +187,11 @@ def inside_layer(thickness: xr.DataArray) -> NDArray[np.bool_]:
     )
 
 
+def typical_thickness(field: xr.DataArray) -> float:
+    """Median of a map without gaps over the extent of the layer, mm: of nothing beside it."""
+    return float(np.median(field.values[inside_layer(field)]))
+
+
 def smooth_map(
     field: xr.DataArray,
 ) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:

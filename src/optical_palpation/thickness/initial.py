@@ -114,6 +114,16 @@ def match_initial_thickness(
     )
 
 
+def filled_there(filled: xr.DataArray, here: xr.DataArray) -> xr.DataArray:
+    """Where an unloaded map that was ``filled`` is interpolated on the pixels of another map.
+
+    Between pixels of another grid the thickness is interpolated, and what was filled counts.
+    """
+    within = {a: here[a].clip(filled[a].min(), filled[a].max()) for a in "yx"}
+    found = filled.astype(float).interp(within).assign_coords({a: here[a] for a in "yx"}) > 1e-6
+    return found.assign_attrs(filled.attrs)
+
+
 def _spread(values: NDArray[np.float64]) -> float:
     """Range of all but a hundredth of the values at either end."""
     low, high = np.percentile(values, (1, 99))

@@ -28,8 +28,8 @@ from optical_palpation.present.summary import (
     force_error,
     mean_stress,
     mean_stress_error,
-    of_mesh_alone,
     of_unknown_sample,
+    without_inputs,
 )
 from optical_palpation.present.terms import rounded, term
 from optical_palpation.study import warnings_about
@@ -267,6 +267,7 @@ def _in_words(result: StressResult) -> str:
     error = mean_stress_error(maps)
     points = f"{stress.sizes['y']} x {stress.sizes['x']} points"
     figures = f"force {force} mN, mean axial stress {rounded(mean_stress(maps), error)} kPa"
-    figures += f"{' (± by the mesh alone)' * of_mesh_alone(maps.attrs)}, {points}"
+    alone = f" (± by the {of} alone)" if (of := without_inputs(maps.attrs)) else ""
+    figures += f"{alone}, {points}"
     warnings = [*warnings_about(result), of_unknown_sample(maps)]
     return "\n".join([figures, *(f"Warning: {text}" for text in warnings if text)])

@@ -25,12 +25,14 @@ from optical_palpation.present.summary import (
     mean_error,
     mesh_error,
     methods,
-    of_mesh_alone,
+    of_relief,
     of_series,
+    of_submodel,
     stress_error,
     stress_figures,
     touching_share,
     within_map,
+    without_inputs,
 )
 from optical_palpation.present.tables import region_figure
 from optical_palpation.present.terms import (
@@ -39,6 +41,7 @@ from optical_palpation.present.terms import (
     LENGTH,
     QUALITY,
     STRESS,
+    as_given,
     common_limits,
     in_percent,
     is_map,
@@ -357,7 +360,11 @@ def force_rows(result: StressResult) -> list[tuple[str, str]]:
         for side in ("window", "sample")
         if (key := f"{side}_force_mN") in attrs
     ]
-    if "submodel_region_mm" not in attrs and (within := within_map(attrs)):
+    if "total_force_given_mN" in attrs:
+        rows.append(("Given", f"{attrs['total_force_given_mN']:g} mN"))
+    if "submodel_region_mm" in attrs:
+        rows += [("Part of a layer", text) for text in of_submodel(attrs)]
+    elif within := within_map(attrs):
         rows.append(("Within the map", within))
     if result.series is not None:
         rows.append(("Travel of the plate and force at each load", of_series(result.series)))
@@ -395,7 +402,7 @@ def key_figures(
     bands = has_bands(attrs)
     if "sample_force_mN" in attrs:
         force = rounded(attrs["sample_force_mN"], force_error(attrs))
-        alone = ", ± by the mesh alone" * of_mesh_alone(attrs)
+        alone = f", ± by the {of} alone" if (of := without_inputs(attrs)) else ""
         figures.append((f"Force on the sample{', 95 % band' * bands}{alone}", f"{force} mN"))
     for method, stress in methods(result).items():
         mean = rounded(area_mean(stress), mean_error(method, maps))
@@ -406,7 +413,8 @@ def key_figures(
     thickness = thicknesses(result, loaded, unloaded)
     errors = _thickness_errors(attrs)
     if "unloaded" not in thickness and "initial_thickness_mm" in attrs:
-        given = rounded(attrs["initial_thickness_mm"], errors.get("unloaded"))
+        mean, error = attrs["initial_thickness_mm"], errors.get("unloaded")
+        given = rounded(mean, error) if error else as_given(mean)
         figures.append(("Unloaded thickness, mean", f"{given} mm"))
     for state, field in thickness.items():
         middle = rounded(_within(field, maps).median(), errors.get(state))
@@ -456,10 +464,7 @@ def _sample_figures(maps: xr.Dataset) -> list[tuple[str, str]]:
         known = float(maps["sample_youngs_modulus"].notnull().mean())
         figures.append(("Modulus known", percent(known)))
     if "sample_relief" in maps and maps["sample_relief"].notnull().any():
-        low, high = (float(f(maps["sample_relief"])) for f in (np.nanmin, np.nanmax))
-        band = 1e3 * float(maps["sample_relief_error"].median())
-        said = f"{1e3 * (high - low):.2g} \N{PLUS-MINUS SIGN} {band:.1g} \N{MICRO SIGN}m"
-        figures.append(("Relief of the sample, lowest to highest", said))
+        figures.append(("Relief of the sample, found", of_relief(maps)))
     if "compression_error_mm" in attrs:
         found = rounded(attrs["compression_mm"], attrs["compression_error_mm"])
         figures.append(("Travel of the plate, found", f"{found} mm"))
@@ -486,9 +491,9 @@ def band_rows(result: StressResult) -> list[tuple[str, str, str, str]]:
             ]
             text = percent(error)
             if name.endswith("friction"):
-                text = rounded(error)
+                text = as_given(error)
             elif name in ("thickness", "initial_thickness"):
-                text = f"{rounded(1e3 * error)} \N{MICRO SIGN}m"
+                text = f"{as_given(1e3 * error)} \N{MICRO SIGN}m"
             text = f"\N{PLUS-MINUS SIGN}{text}"
             rows.append((INPUTS.get(name, name), text, *changes))
         return rows
