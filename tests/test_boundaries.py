@@ -567,6 +567,8 @@ def test_eight_bits_of_a_logarithm_may_hide_the_noise(frame_count, black):
 def test_a_logarithm_that_is_no_decibels_is_doubted():
     assert "units of 1 dB" in bias(np.log(frames(16, static=True)), "dB")[1][0]
     assert "skewed as linear ones" in str(intensity_reader(volume(), "dB").doubt)
+    decibels = 10 * np.log10(frames(4, static=True)) + 60
+    assert "skewed as a logarithm" in bias(decibels, "linear")[1][0]
 
 
 def test_a_stated_scale_is_not_judged():

@@ -97,6 +97,11 @@ class Look:
         smooth, rough = (float(np.sqrt(np.median(pool[1]))) for pool in (noise, speckle))
         shape, error = _shape(noise)
         sure = abs(shape - SHAPE) > SURE * error
+        if shape + SURE * error < 0.0:
+            return True, (
+                "the samples were taken for linear ones, and are skewed as a logarithm is: if they "
+                "are one, say scale 'dB', or the boundaries are off"
+            )
         if rough > CONTRAST:
             textured = smooth < CONTRAST and sure and shape < SHAPE
             return textured, self._doubt(textured) if textured else None
