@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import ndtr
 
 from optical_palpation.errors import InputError
 from optical_palpation.experiment.synthetic_oct import FWHM, Optics, SyntheticOCT
@@ -462,7 +463,8 @@ def test_a_background_may_be_subtracted():
 def test_resolution_is_read_off_the_speckle():
     for axial in (6e-3, 12e-3):
         of = volume(optics=Optics(axial, 2.5 * axial), saturated=0.02)
-        along_z, along_x = point_spread(intensity_reader(of, "linear"), SHAPE[0])
+        along_z, along_x, speckled = point_spread(intensity_reader(of, "linear"), SHAPE[0])
+        assert speckled
         assert along_z == pytest.approx(axial / FWHM / SPACING[0], rel=0.15)
         assert along_x == pytest.approx(2.5 * axial / FWHM / SPACING[2], rel=0.3)
 
@@ -501,3 +503,107 @@ def test_maps_are_registered_to_each_other():
     assert np.isnan(shift_map(moving, (0.03, 0.0)).values[-1]).all()
     with pytest.raises(InputError, match="features"):
         lateral_shift(reference * 0 + X, moving)
+
+
+def frames(count: int, static: bool, snr_db: float = 25.0) -> np.ndarray:
+    """Intensity averaged over frames of the same speckle, or each of its own, `[z, y, x]`."""
+    rng = np.random.default_rng(5)
+    shape = (280, 32, 64)
+    total = np.zeros(shape)
+    for k in range(count):
+        if k == 0 or not static:
+            of = SyntheticOCT(SMOOTH[:32, :64], SPACING, 280, snr_db=snr_db + 60, seed=k)
+            quiet = np.stack([of.field(y) for y in range(32)], axis=1) / 1e3
+        noise = rng.standard_normal((2, *shape)) * np.sqrt(0.5)
+        total += np.abs(quiet + noise[0] + 1j * noise[1]) ** 2
+    return total / count
+
+
+def bias(stack: np.ndarray, scale: str) -> tuple[float, list[str]]:
+    """Mean error, pixels, and doubts."""
+    layer = find_layer(stack.astype(np.float32), spacing=SPACING, scale=scale)
+    error = (layer.thickness.values - SMOOTH[:32, :64]) / SPACING[0]
+    return float(error.mean()), json.loads(layer.doubts)
+
+
+@pytest.mark.parametrize(("count", "static"), [(2, True), (4, True), (16, True), (4, False)])
+def test_averaged_frames_are_known_for_what_they_are(count, static):
+    """Averaging smooths noise, and speckle if it changes, but not the shape of what is left."""
+    stack = frames(count, static)
+    for samples, scale in (
+        (stack, "linear"),
+        (np.sqrt(stack), "linear"),
+        (10 * np.log10(stack), "dB"),
+    ):
+        off, doubts = bias(samples, scale)
+        assert abs(off) < 0.2
+        assert not any("scale" in doubt for doubt in doubts)
+        assert doubts == [] or not static
+
+
+def test_averaged_speckle_leaves_the_resolution_to_the_window():
+    off, doubts = bias(frames(16, static=False), "linear")
+    assert abs(off) < 0.35
+    assert "does not show in the sample's speckle" in doubts[0]
+
+
+@pytest.mark.parametrize("offset", [1.0, 5.0])
+def test_an_offset_leaves_an_intensity_what_it_is(offset):
+    off, doubts = bias(frames(1, static=True) + offset, "linear")
+    assert abs(off) < 0.2
+    assert doubts == []
+
+
+@pytest.mark.parametrize("frame_count", [1, 16])
+@pytest.mark.parametrize("black", [-20.0, 0.0, 3.0, 6.0])
+def test_eight_bits_of_a_logarithm_may_hide_the_noise(frame_count, black):
+    decibels = 10 * np.log10(frames(frame_count, static=True))
+    stored = np.clip((decibels - black) / (45.0 - black) * 255, 0, 255).astype(np.uint8)
+    off, doubts = bias(stored, "dB")
+    assert abs(off) < 0.25
+    assert doubts == []
+
+
+def test_a_logarithm_that_is_no_decibels_is_doubted():
+    assert "units of 1 dB" in bias(np.log(frames(16, static=True)), "dB")[1][0]
+    assert "skewed as linear ones" in str(intensity_reader(volume(), "dB").doubt)
+    decibels = 10 * np.log10(frames(4, static=True)) + 60
+    assert "skewed as a logarithm" in bias(decibels, "linear")[1][0]
+
+
+def test_a_stated_scale_is_not_judged():
+    stack = frames(1, static=True)
+    for samples, scale in ((stack, "intensity"), (np.sqrt(stack), "amplitude")):
+        off, doubts = bias(samples, scale)
+        assert abs(off) < 0.2
+        assert doubts == []
+    assert abs(bias(stack, "amplitude")[0]) > 0.3
+
+
+@pytest.mark.parametrize("power", [1, 2])
+def test_a_sample_without_speckle_is_found_and_doubted(power):
+    """A smooth bright edge: the window's reflection tells the resolution."""
+    rng = np.random.default_rng(3)
+    sigma, truth = 5.5e-3 / FWHM, SMOOTH[:32, :64]
+    z = SPACING[0] * np.arange(280)[:, None, None]
+    below = z - 0.15 - truth
+    edge = np.sqrt(10**2.5 * ndtr(below / sigma) * np.exp(-8.0 * np.maximum(below, 0.0)))
+    line = np.sqrt(10**5.0) * np.exp(-((z - 0.15) ** 2) / (4 * sigma**2))
+    noise = rng.standard_normal((2, *edge.shape)) * np.sqrt(0.5)
+    off, doubts = bias(np.abs(edge + 1j * line + noise[0] + 1j * noise[1]) ** power, "linear")
+    assert abs(off) < 0.5
+    assert "does not show in the sample's speckle" in doubts[0]
+
+
+def test_a_volume_that_shows_only_black_says_so():
+    stack = np.zeros((280, 8, 64), np.uint8)
+    stack[50] = 255
+    with pytest.raises(InputError, match="most are 0"):
+        find_layer(stack, spacing=SPACING, scale="dB")
+
+
+def test_an_intensity_less_its_background_is_one_too():
+    stack = frames(1, static=True, snr_db=15.0)
+    off, doubts = bias(stack - 1.0, "linear")
+    assert abs(off) < 0.2
+    assert doubts == []

@@ -136,7 +136,7 @@ def test_files_that_are_not_trusted(here):
         ("element_size = [0.2, 0.2, 0.1]", "accuracy = 2", ["grid.accuracy = 2", "0.02 for 2 %"]),
         ("threads = 1", "threads = 1.5", ["grid.threads = 1.5", "a whole number"]),
         ("threads = 1", "edges = 'open'", ['grid.edges = "open"', "'free', 'roller' or 'padded'"]),
-        ('scale = "linear"', 'scale = "log"', ['volumes.scale = "log"', "'linear' or 'dB'"]),
+        ('scale = "linear"', 'scale = "log"', ['volumes.scale = "log"', "'intensity' or 'dB'"]),
         ('scale = "linear"', "scales = 1", ["volumes.scales = 1", "did you mean scale?"]),
         ("z = 0.0029", "z = 0", ["volumes.spacing.z = 0", "greater than 0"]),
         ("{ z = 0.0029, y = 0.03, x = 0.03 }", "[1, 2, 3]", ["volumes.spacing", "must be a table"]),

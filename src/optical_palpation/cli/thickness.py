@@ -17,6 +17,8 @@ class Scale(StrEnum):
     """What the samples of a volume are."""
 
     LINEAR = "linear"
+    AMPLITUDE = "amplitude"
+    INTENSITY = "intensity"
     DB = "dB"
 
 

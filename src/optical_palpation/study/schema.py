@@ -62,7 +62,7 @@ class Volumes(Table):
     variable: Text | None = None
     axes: Text | None = None
     spacing: Spacing | None = None
-    scale: Literal["linear", "dB"] | None = None
+    scale: Literal["linear", "amplitude", "intensity", "dB"] | None = None
     refractive_index: Annotated[float, Field(ge=1, le=4)] | None = None
     origin: Origin | None = None
     untrusted: bool | None = None

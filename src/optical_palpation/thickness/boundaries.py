@@ -18,7 +18,7 @@ from optical_palpation.errors import InputError
 from .canny import canny_surface
 from .cleaning import _fill
 from .corrections import Corrections, read_corrections
-from .intensity import BScans, Read, Scale, intensity_reader, point_spread
+from .intensity import BScans, Intensity, Scale, intensity_reader, point_spread
 from .refinement import refine, take_band
 from .rivals import rival_line, rival_rise
 from .tracking import Edge, Reduced, reduce_volume, track
@@ -62,13 +62,14 @@ class _Array:
 class _Scan:
     """A volume with what its first reading told."""
 
-    read: Read
+    read: Intensity
     shape: tuple[int, int, int]
     spacing: tuple[float, float, float]
     origin: tuple[float, float, float]
     sigma: float
     cell: tuple[float, float]
     reduced: Reduced
+    speckled: bool
 
     @property
     def lateral(self) -> tuple[float, float]:
@@ -122,7 +123,8 @@ def find_layer(
     spacing
         Physical pixel spacing (z, y, x), mm; may be left out for a volume that knows its own.
     scale
-        "linear" (amplitude or intensity) or "dB"; may be left out likewise.
+        "linear" ("amplitude" or "intensity", which shows unless it is said) or "dB"; may be left
+        out likewise.
     window
         How the window side shows: a bright "line" (a reflection), a "fall" from bright to dark
         (a scattering window), or its depth in mm where it is known, as 0 in common-path OCT.
@@ -148,7 +150,7 @@ def find_layer(
         where the boundary was not seen, or was an outlier, and was interpolated), ``filled`` (True
         where either of them was) and ``specular`` (True where there is such a reflection, which may
         draw the boundary to itself). The attribute ``doubts`` is a list of texts (JSON): what else
-        in the volume may be a boundary as well.
+        in the volume may be a boundary as well, and whether its scale is in doubt.
 
     Raises
     ------
@@ -325,7 +327,15 @@ class LayerFinder:
 
     def _doubts(self, parts: dict[str, tuple[NDArray, NDArray, NDArray, NDArray]]) -> list[str]:
         """What else may be a boundary of the layer, in words."""
-        scan, said = self._scan, []
+        scan = self._scan
+        said = [scan.read.doubt] if scan.read.doubt else []
+        if not scan.speckled and self._sample != "line":
+            width = 1e3 * FWHM * scan.sigma * scan.spacing[0]
+            said.append(
+                "the axial resolution does not show in the sample's speckle (averaged away, or the "
+                f"sample has none): {width:.2g} um was taken, that of the brightest reflection if "
+                "there is one. The sample side may be off by half of it"
+            )
         seen = scan.reduced, scan.sigma, parts["window"][0], parts["sample"][0]
         dz = scan.spacing[0]
         if self._window == "line":
@@ -461,11 +471,11 @@ def _scan(
         raise InputError(f"spacing: three positive numbers (z, y, x) in mm, not {tuple(spacing)}")
     origin = getattr(metadata, "origin", None) or (0.0, 0.0, 0.0)
     read = intensity_reader(source, scale)
-    sigma, across = point_spread(read, source.shape[1])
+    sigma, across, speckled = point_spread(read, source.shape[1])
     shape = (source.shape[0], source.shape[1], source.shape[2])
     reduced = reduce_volume(read, shape, progress)
     cell = (across * dx / dy, across)
-    return _Scan(read, shape, (dz, dy, dx), tuple(origin), sigma, cell, reduced)
+    return _Scan(read, shape, (dz, dy, dx), tuple(origin), sigma, cell, reduced, speckled)
 
 
 def _locate(

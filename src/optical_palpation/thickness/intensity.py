@@ -1,33 +1,30 @@
 """B-scans as intensity, whatever they were stored as, and the resolution that their speckle shows.
 
-Both rest on the statistics of the noise and of fully developed speckle: an intensity is
-exponentially distributed, so its standard deviation is its mean, that of an amplitude 0.52 of it,
-and that of a logarithm a fixed number, 5.6 dB.
+Both rest on the statistics of the noise and of fully developed speckle; see `speckle`.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
 from numba import njit
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from optical_palpation.arguments import choice
 from optical_palpation.errors import InputError
 from optical_palpation.runtime.kernels import keep_kernels
 
+from .speckle import TILE, Look, some_of, tile_statistics, tiles_of
+
 keep_kernels()
 
-Scale = Literal["linear", "dB"]
+Scale = Literal["linear", "amplitude", "intensity", "dB"]
 Read = Callable[[int], NDArray[np.float32]]
 
-DB = np.log(10.0) / 10.0
-LOG_SPREAD = np.pi / np.sqrt(6.0)  # standard deviation of the logarithm of an exponential number
-DYNAMIC_RANGE = 60.0  # dB, of a spectrometer within one B-scan
-SAMPLES = 7  # B-scans looked at for what holds for the whole volume
+MOST_BLACK = 0.5  # of the samples of a tile: its median is one of the others
 MOST_NEGATIVE = 0.2  # of the sum of linear samples: noise less its background is, signal is not
-TILE = (32, 16)  # pixels along z and x over which statistics are taken
+NARROWER = 1.2  # a reflection narrower by this is no matter of chance
 SIGMA_RANGE = (0.4, 12.0)  # pixels; beyond it speckle does not tell its width
 
 
@@ -68,89 +65,96 @@ def _convert(image, square, gain, offset):
                 image[z, x] = v * v if square else max(v, np.float32(0.0))
 
 
-def _tiles(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Tiles `[tile, z, x]` of a B-scan; the last ones end with it, and may overlap others."""
-    size = [min(t, n) for t, n in zip(TILE, image.shape, strict=True)]
-    starts = [
-        np.unique([*range(0, n - t, t), n - t]) for t, n in zip(size, image.shape, strict=True)
-    ]
-    return sliding_window_view(image, size)[np.ix_(*starts)].reshape(-1, *size)
+@dataclass(frozen=True)
+class Intensity:
+    """B-scans of a volume as intensity, -1 where there is no data.
 
-
-def _some(ny: int) -> NDArray[np.int64]:
-    return np.unique(np.linspace(0, ny - 1, SAMPLES).astype(np.int64))
-
-
-def intensity_reader(volume: BScans, scale: Scale) -> Read:
-    """Return a function that gives B-scans as intensity, -1 where there is no data.
-
-    A linear signal is an amplitude or an intensity, which its noise tells. Decibels whose noise
-    is much rougher than noise can be are a logarithm in another unit, and are scaled to it; but
-    where averaging has smoothed the noise, the range of a spectrometer is the limit.
+    `doubt` says in words why the samples may be something else than they were taken for.
     """
-    choice(scale, "scale", "linear", "dB")
 
-    def raw(y: int) -> NDArray[np.float32]:
-        image = np.asarray(volume.bscan(y))
-        if image.ndim != 2 or image.shape != (volume.shape[0], volume.shape[2]):
-            raise InputError(f"B-scan {y} has the shape {image.shape}, not that of the volume")
-        image = np.abs(image) if np.iscomplexobj(image) else image
-        return np.array(image, np.float32, order="C")
+    volume: BScans
+    unit: float
+    square: bool
+    gain: float
+    offset: float
+    doubt: str | None
 
-    spread, level, highest, negative, roughness = [], [], [], [], []
-    for y in _some(volume.shape[1]):
-        image = raw(int(y))
+    def __call__(self, y: int) -> NDArray[np.float32]:
+        """B-scan `[z, x]` by its number."""
+        image = _raw(self.volume, y) * np.float32(self.unit)
+        _convert(image, self.square, np.float32(self.gain), np.float32(self.offset))
+        return image
+
+
+def _raw(volume: BScans, y: int) -> NDArray[np.float32]:
+    image = np.asarray(volume.bscan(y))
+    if image.ndim != 2 or image.shape != (volume.shape[0], volume.shape[2]):
+        raise InputError(f"B-scan {y} has the shape {image.shape}, not that of the volume")
+    image = np.abs(image) if np.iscomplexobj(image) else image
+    return np.array(image, np.float32, order="C")
+
+
+def intensity_reader(volume: BScans, scale: Scale) -> Intensity:
+    """Return a function that gives B-scans as intensity.
+
+    Whether a linear signal is an amplitude or an intensity shows in its noise and speckle, unless
+    the scale says so. Decibels that are rougher than noise or speckle can be are a logarithm in
+    another unit, and are scaled to it; but where averaging has smoothed both, the range of a
+    spectrometer is the limit.
+    """
+    choice(scale, "scale", "linear", "amplitude", "intensity", "dB")
+    logarithmic = scale == "dB"
+    looks, highest, negative = [], [], []
+    for y in some_of(volume.shape[1]):
+        image = _raw(volume, int(y))
         size = np.abs(image, dtype=float)
         negative.append(np.nansum(size[image < 0]) / max(np.nansum(size), 1e-300))
-        tiles = _tiles(image)
-        tiles = tiles[np.all(np.isfinite(tiles) & (tiles != 0 if scale == "dB" else True), (1, 2))]
+        tiles = tiles_of(image)
+        # A zero is no data, or what a logarithmic image shows where the signal is below its range.
+        tiles = tiles[
+            np.all(np.isfinite(tiles), (1, 2)) & (np.mean(tiles == 0, (1, 2)) < MOST_BLACK)
+        ]
         if len(tiles) == 0:
             continue
-        mean, deviation = tiles.mean((1, 2), float), tiles.std((1, 2), float)
-        quiet = mean <= np.quantile(mean, 0.25)
-        spread.append(np.median(deviation[quiet]))
-        level.append(np.median(mean[quiet]))
         highest.append(np.max(tiles))
-        # Structures, steps of the digitizer and padding make a tile rougher than speckle is.
-        relative = np.divide(deviation, mean, out=np.full_like(mean, np.inf), where=mean > 0)
-        roughness.append(np.quantile(relative, 0.25, method="lower"))
-    if not spread:
-        raise InputError("the volume holds no stretch of finite data to tell noise from signal by")
-    if scale == "linear" and (share := float(np.mean(negative))) > MOST_NEGATIVE:
+        looks.append(tile_statistics(tiles, logarithmic))
+    if not looks:
+        raise InputError(
+            "the volume holds no stretch of finite data to tell noise from signal by: of every "
+            f"{TILE[0]} x {TILE[1]} samples some are missing, or most are 0. If it is an image "
+            "whose black hides the noise, store it over a wider range, in decibels or linear"
+        )
+    if not logarithmic and (share := float(np.mean(negative))) > MOST_NEGATIVE:
         raise InputError(
             f"samples that are negative, as no amplitude or intensity is, make up {share:.0%} of "
             "the signal: is it in decibels (scale 'dB'), or the raw one of the interferometer?"
         )
-    deviation, mean = float(np.median(spread)), float(np.median(level))
-    square, unit, gain, offset = False, 1.0, 0.0, 0.0
-    if scale == "linear":
-        square = float(np.median(roughness)) < 0.75
-        unit = 1.0 / (float(max(highest)) or 1.0)  # squares of squares, too, are finite numbers
-    else:
-        if deviation > 8.0:
-            gain = min(LOG_SPREAD / deviation, DYNAMIC_RANGE * DB / (max(highest) - mean))
-        else:
-            gain = DB
-        offset = gain * mean
-
-    def read(y: int) -> NDArray[np.float32]:
-        image = raw(y) * np.float32(unit)
-        _convert(image, square, np.float32(gain), np.float32(offset))
-        return image
-
-    return read
+    look = Look(np.concatenate(looks, axis=1), logarithmic)
+    if logarithmic:
+        gain, doubt = look.gain(float(max(highest)))
+        return Intensity(volume, 1.0, False, gain, gain * look.level, doubt)
+    unit = 1.0 / (float(max(highest)) or 1.0)  # squares of squares, too, are finite numbers
+    square, doubt = look.amplitude() if scale == "linear" else (scale == "amplitude", None)
+    return Intensity(volume, unit, square, 0.0, 0.0, doubt)
 
 
-def point_spread(read: Read, ny: int) -> tuple[float, float]:
+def point_spread(read: Read, ny: int) -> tuple[float, float, bool]:
     """Measure the standard deviations (z, x), pixels, of the intensity point-spread function.
+
+    Also tells whether its speckle shows them.
 
     The speckle of many independent scatterers has the intensity correlation exp(-d^2 / 4 s^2)
     for a Gaussian point-spread function of standard deviation s, and so has the image of a single
-    reflector. Lag 0 holds the noise too and is left out.
+    reflector. Lag 0 holds the noise too and is left out. Where speckle is averaged away, or the
+    sample has none, what correlates is its structure: a reflection that is narrower shows the
+    point-spread function itself.
     """
+    peaks = []
     products: tuple[list[NDArray], list[NDArray]] = ([], [])
-    for y in _some(ny):
-        tiles = _tiles(np.maximum(read(int(y)), 0.0))
+    for y in some_of(ny):
+        image = np.maximum(read(int(y)), 0.0)
+        peaks.append(_peaks(image))
+        tiles = tiles_of(image)
         mean = tiles.mean((1, 2), keepdims=True)
         columns = tiles.mean(axis=1)  # an A-scan of a saturated detector stands out of its tile
         even = columns.max(axis=1) < 4.0 * np.median(columns, axis=1)
@@ -170,22 +174,53 @@ def point_spread(read: Read, ny: int) -> tuple[float, float]:
                 for lag in range(n // 2)
             ]
             products[axis - 1].append(np.stack(lagged))
+    line = _line_width(np.concatenate(peaks, axis=1))
     if not products[0]:
-        return SIGMA_RANGE[0], SIGMA_RANGE[0]
+        return line or SIGMA_RANGE[0], SIGMA_RANGE[0], False
     along_z, along_x = (np.mean(np.concatenate(p, axis=1), axis=1) for p in products)
     sigma_z = _width(along_z)
-    # The axial fit gives the variance of the speckle without that of the noise, so that one lateral
-    # lag is enough: pixels are often as far apart as the resolution.
-    variance = along_z[1] * np.exp(1.0 / (4.0 * sigma_z**2))
+    sigma_x = _width_across(along_x, sigma_z, float(along_z[1]))
+    if sigma_z == SIGMA_RANGE[0] or (line and sigma_z > NARROWER * line):
+        # What widens one of the two widens the other.
+        taken = line or sigma_z
+        return taken, max(sigma_x * min(taken / sigma_z, 1.0), SIGMA_RANGE[0]), False
+    return sigma_z, sigma_x, True
+
+
+def _width_across(along_x: NDArray[np.float64], sigma_z: float, first: float) -> float:
+    """Lateral width, where `first` is the axial product at lag 1.
+
+    The axial fit gives the variance of the speckle without that of the noise, so that one lateral
+    lag is enough: pixels are often as far apart as the resolution.
+    """
+    variance = first * np.exp(1.0 / (4.0 * sigma_z**2))
     if along_x[1] > 0.5 * variance:
-        return sigma_z, _width(along_x)
+        return _width(along_x)
     measured, sigma_x = float(np.clip(along_x[1] / max(variance, 1e-30), 0.01, 0.5)), SIGMA_RANGE[0]
     for _ in range(4):
         # The mean over the tile's columns, taken away above, held this share of the speckle.
         taken = min(np.sqrt(4.0 * np.pi) * sigma_x / TILE[1], 0.5)
         drop = -np.log(measured * (1.0 - taken) + taken)
         sigma_x = float(np.clip(np.sqrt(1.0 / (4.0 * drop)), *SIGMA_RANGE))
-    return sigma_z, sigma_x
+    return sigma_x
+
+
+def _peaks(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The brightest sample of each A-scan between its neighbours, `[3, x]`."""
+    top = np.clip(np.argmax(image, axis=0), 1, len(image) - 2)
+    return np.take_along_axis(image, top + np.array([[-1], [0], [1]]), axis=0)
+
+
+def _line_width(peaks: NDArray[np.float32]) -> float | None:
+    """Standard deviation of a reflection from its three brightest samples, where they show it."""
+    before, peak, after = peaks
+    clipped = (peak == peak.max()) & (np.sum(peak == peak.max()) > 1)
+    good = (before > 0) & (after > 0) & (peak > before) & (peak > after) & ~clipped
+    if np.mean(good) < 0.5:
+        return None
+    before, peak, after = np.log(peaks[:, good])
+    width = 1.0 / np.sqrt(np.median(2.0 * peak - before - after))
+    return float(np.clip(width, *SIGMA_RANGE))
 
 
 def _width(products: NDArray[np.float64]) -> float:

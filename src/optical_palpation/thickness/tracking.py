@@ -90,7 +90,7 @@ class Reduced:
 
 def column_weights(floor: NDArray[np.float32]) -> NDArray[np.float32]:
     """Weights of A-scans in an average: those that a saturated detector lifted count less."""
-    typical = np.median(floor)
+    typical = max(np.median(floor), 1e-30)
     return (np.minimum(1.0, typical / np.maximum(floor, 1e-30)) ** 2).astype(np.float32)
 
 

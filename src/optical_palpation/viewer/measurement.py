@@ -32,7 +32,7 @@ from optical_palpation.volume import open_volume
 _HOW = {
     "axes": ("yzx", "order of the axes, slowest first"),
     "spacing": ("{ z = 0.0035, y = 0.01, x = 0.01 }", "mm between samples"),
-    "scale": ("linear", "linear or dB"),
+    "scale": ("linear", "linear (amplitude, intensity) or dB"),
     "refractive_index": ("1.4", "where the depth is an optical path"),
     "variable": ("", "name of the array, of several"),
 }

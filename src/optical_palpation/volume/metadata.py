@@ -18,7 +18,7 @@ import numpy as np
 from ..errors import InputError
 from .axes import axes_of_text
 
-Scale = Literal["linear", "dB"]
+Scale = Literal["linear", "amplitude", "intensity", "dB"]
 Access = Literal["mapped", "streamed", "loaded"]
 
 # mm: from less than a coherence length to more than any range or scanning lens.
@@ -52,7 +52,7 @@ class VolumeMetadata:
     spacing
         Physical distance between samples in mm; NaN along y for a single B-scan.
     scale
-        ``"linear"`` (amplitude or intensity) or ``"dB"``.
+        ``"linear"`` (``"amplitude"`` or ``"intensity"``, where that is known) or ``"dB"``.
     refractive_index
         The index by which the stored optical depth was divided to give ``spacing.z``;
         None where the stored depth was taken as physical.

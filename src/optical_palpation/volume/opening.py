@@ -87,7 +87,7 @@ def open_volume(
         Distance between samples in mm by axis, such as ``{"z": 0.0035, "y": 0.01, "x": 0.01}``.
         May name only some axes.
     scale
-        ``"linear"`` or ``"dB"``.
+        ``"linear"`` (``"amplitude"`` or ``"intensity"``, where that is known) or ``"dB"``.
     refractive_index
         Group index by which the stored axial spacing, an optical path, is divided. Leave it out
         where the stored depth is physical.
