@@ -135,7 +135,7 @@ class Solving(QGroupBox):
             fits = table != "material" or key in _LAWS[law]
             changes[name] = number.value() if fits else None
         size = self._size
-        if size is not None and changes["grid.element_size"] == round(size[0], 4):
+        if size is not None and changes["grid.element_size"] == size[0]:
             changes["grid.element_size"] = size
         self._bench.session.change(changes)
 
@@ -224,6 +224,7 @@ class Solving(QGroupBox):
         self.live.setChecked(False)
         self.law.setCurrentText(material.get("law", "mooney-rivlin"))
         self.edges.setCurrentText(grid.get("edges", "free"))
+        self._size = None
         for name, number in self.numbers.items():
             table, _, key = name.partition(".")
             value = tables.get(table, {}).get(key)
