@@ -384,6 +384,41 @@ def test_a_study_that_is_shown_and_not_changed_stays_as_it_is(panel, study, tmp_
     assert session.tables["friction"]["window"] == 0.35
 
 
+def test_what_was_drawn_since_counts_for_the_stress_and_ends_with_its_volume(
+    viewer, panel, study, tmp_path
+):
+    bench, solving = panel.bench, panel.solving
+    panel.open_study(str(study))
+    solving.solve(estimates=False)  # finds the layer, too
+    wait_idle(panel)
+    found, before = dict(bench.seen), bench.result
+    assert set(found) == {"loaded", "unloaded"}
+    assert not any(it.visible for it in bench.layers("boundary"))
+    solving.solve(estimates=False)
+    wait_idle(panel)
+    assert bench.seen["loaded"] is found["loaded"]  # nothing was drawn
+    panel.correction.exclude()
+    drag(viewer, (0.5, 0.7), (0.9, 1.1))
+    solving.solve(estimates=False)
+    wait_idle(panel)
+    assert bench.seen["loaded"] is not found["loaded"]
+    assert bench.seen["unloaded"] is found["unloaded"]
+    assert not bench.result.maps["axial_stress"].equals(before.maps["axial_stress"])
+    panel.save_study(str(tmp_path / "mine.toml"))
+    panel.open_study(str(tmp_path / "mine.toml"))
+    made = dict(bench.session.corrections)
+    assert len(made["loaded"].exclusions) == 1
+    panel.measurement.find_layer()
+    wait_idle(panel)
+    solving.apply()
+    assert bench.session.corrections == made  # to the last digit
+    choice = panel.measurement.choice["loaded"]
+    choice.setCurrentText("unloaded.npy")
+    solving.apply()
+    assert not list(bench.layers("excluded", "loaded"))
+    assert not bench.session.corrections.get("loaded")
+
+
 def test_a_computation_can_be_cancelled_and_the_window_stays_alive(panel, study):
     panel.open_study(str(study))
     panel.measurement.find_layer()

@@ -154,6 +154,7 @@ class Measurement(QGroupBox):
                 if other:
                     session.change({side: dict(chosen)})
                     session.corrections.pop(side, None)
+                    self._bench.forget_found(side)
                 before = session.input(side)
                 # the fields show the loaded volume; what the study says of the other one stays
                 # until they are changed
@@ -309,6 +310,7 @@ def _named(side: str, name: str) -> bool:
 
 def show_found(bench: Workbench, side: str, found: Any) -> None:
     """Show the layer that was found in a volume."""
+    bench.seen[side] = found
     bench.show(boundary_layers(found, bench.session.frame(side), side))
     maps = map_layers(found, f"{side}: ", only=_MAPS)
     for layer in maps:  # they would cover the B-scans
