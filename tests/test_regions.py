@@ -482,6 +482,8 @@ def test_a_profile_keeps_states_whole_and_has_no_value_outside():
     ):
         with pytest.raises(InputError, match=message):
             line_profile(maps, *wrong)
+    with pytest.raises(InputError, match="a map alone is one by map"):
+        line_profile(maps["axial_stress"], (0, 1), (1, 1))
 
 
 def bumps(x, y):

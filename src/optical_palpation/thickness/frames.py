@@ -160,14 +160,10 @@ def on_grid(thickness: xr.DataArray, name: str = "thickness") -> xr.DataArray:
     for part, values in (("map", thickness), ("x", thickness["x"]), ("y", thickness["y"])):
         unit = stated_unit("", values.attrs, f"{name}, {part}")
         if unit not in (None, "mm"):
-            factor = MM[unit]
-            scale = f"* {factor:g}" if factor > 1 else f"/ {1 / factor:g}"
-            change = (
-                f"assign_coords({part}=(map.{part} {scale}).assign_attrs(units='mm'))"
-                if part in ("x", "y")
-                else f"(map {scale}).assign_attrs(map.attrs, units='mm')"
+            raise InputError(
+                f"{name}: {part} is in {unit}; give mm: thickness_map(map) converts a thickness, "
+                "and coordinates that state their unit"
             )
-            raise InputError(f"{name}: {part} is in {unit}; give mm: {change}")
     for axis in ("x", "y"):
         _ascending(thickness[axis].values, axis, thickness.sizes[axis], name)
     thickness = thickness.transpose("y", "x")
