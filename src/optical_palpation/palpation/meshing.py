@@ -46,14 +46,7 @@ def layer_problem(
     """Mesh the layer and make the imprint; ``held`` says what holds ``window`` and ``sample``."""
     x0, x1, y0, y1 = layer_extent_of(loaded)
     thickness = float(initial.median())
-    x, y = _uniform(loaded["x"].values), _uniform(loaded["y"].values)
-    values = []
-    for field in (initial, loaded) if motion is None else (initial, loaded, motion):
-        same = np.array_equal(x, field["x"]) and np.array_equal(y, field["y"])
-        values.append(field.values if same else field.interp(x=x, y=y).values)
-    imprint = Imprint(x, y, *values)
-    if smoothing > 0:
-        imprint = imprint.smoothed(smoothing)
+    imprint = imprint_of(loaded, initial, motion, smoothing)
     depth, nodes_y, nodes_x = layer_nodes((x0, x1, y0, y1), thickness, sizes, edges)
     unloaded = imprint.evaluate(*np.meshgrid(nodes_x, nodes_y), 0.0)[0]
     glued = held["window"] == "glued", held["sample"] == "glued"
@@ -67,6 +60,19 @@ def layer_problem(
         slip_length=slip_length,
         glued=glued,
     )
+
+
+def imprint_of(
+    loaded: xr.DataArray, initial: xr.DataArray, motion: xr.DataArray | None, smoothing: float
+) -> Imprint:
+    """Return what presses the layer: the maps on uniform pixels, smoothed, mm."""
+    x, y = _uniform(loaded["x"].values), _uniform(loaded["y"].values)
+    values = []
+    for field in (initial, loaded) if motion is None else (initial, loaded, motion):
+        same = np.array_equal(x, field["x"]) and np.array_equal(y, field["y"])
+        values.append(field.values if same else field.interp(x=x, y=y).values)
+    imprint = Imprint(x, y, *values)
+    return imprint.smoothed(smoothing) if smoothing > 0 else imprint
 
 
 def layer_nodes(
