@@ -91,6 +91,16 @@ def at_points_of(
     return read.assign_coords(y=like["y"], x=like["x"])
 
 
+def evenly(field: xr.DataArray) -> xr.DataArray:
+    """Return the map on evenly spaced points: where its own are not, each has the nearest one's."""
+    for axis in ("y", "x"):
+        at = field[axis].values
+        even = np.linspace(at[0], at[-1], at.size)
+        if at.size > 1 and np.max(np.abs(at - even)) > 1e-3 * abs(even[1] - even[0]):
+            field = field.sel({axis: even}, method="nearest").assign_coords({axis: even})
+    return field
+
+
 def point_areas(field: xr.DataArray) -> xr.DataArray:
     """Area that each point of a map stands for on ``(y, x)``, mm2: what is nearest to it.
 
