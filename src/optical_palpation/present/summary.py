@@ -344,7 +344,10 @@ def summarise(result: StressResult) -> str:
             said += f", on elements of {sizes} mm chosen for {percent(maps.attrs['accuracy'])}"
         lines.append(f"error of the mesh, estimated: {said}")
     elif forces and not ("submodel_region_mm" in maps.attrs or "sample_shear_modulus" in maps):
-        lines.append("error of the mesh: unknown, because there is no solution on coarser elements")
+        lines.append(
+            "error of the mesh: unknown, because estimates were left out, or there is no solution "
+            "on coarser elements"
+        )
     if rim := maps.attrs.get("force_rim_model_mN", 0.0):
         lines.append(
             f"of the force, about {rounded(rim, digits=2)} mN is due to the model of the rim, "
