@@ -70,6 +70,8 @@ def test_load_cell_sees_the_whole_layer_and_the_map_a_part():
         force_balance(stress * np.nan)
     with pytest.raises(InputError, match="equal steps"):
         force_balance(stress.assign_coords(x=stress["x"] ** 2))
+    with pytest.raises(InputError, match=r"sortby\('y'\)"):
+        force_balance(stress[::-1])
     with pytest.raises(InputError, match="over y and x"):
         force_balance(stress[0])
 

@@ -139,6 +139,10 @@ CURVES = ["--calibration", "CURVES"]
         (["profile.csv", "--depth-in-mm", *CURVES], "--loaded-thickness"),
         (["before.npy", "after.npy", *CURVES], "--window-depth"),
         (["profile.csv", *CURVES, "--c10", 2], "--calibration already tells --c10"),
+        (
+            ["profile.csv", *CURVES, "--sample-friction", 0.4, "--c01", 1],
+            "--calibration already tells --c01, --sample-friction",
+        ),
         (["absent.csv", *CURVES], "absent.csv"),
         (["profile.csv", "--depth-in-mm", *PRELOAD, "--calibration", "absent.nc"], "absent.nc"),
         (["profile.csv", "--calibration", "profile.csv"], "profile.csv"),

@@ -319,3 +319,19 @@ def test_solves_in_two_threads_and_after_a_fork(here, layer, program):
         timeout=400,
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_what_is_said_stands_in_one_file_in_its_order():
+    script = """
+import sys
+from optical_palpation.runtime.streams import take_over_streams
+
+take_over_streams()
+print("first")
+print("second", file=sys.stderr)
+print("third")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    assert done.stdout.split() == ["first", "second", "third"]

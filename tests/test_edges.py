@@ -176,7 +176,8 @@ def test_the_picture_and_the_report_say_where_the_sides_matter(rough, tmp_path):
             assert any(words in axes.get_xlabel() for axes in figure.axes), words
     (row,) = (text for name, text in force_rows(rough["free"]) if name == "Sides of the layer")
     assert row.startswith("taken as free; were they padded, the pressure would change by more than")
-    assert any("sides of the layer" in text for text in warnings_about(rough["free"]))
+    (said,) = (text for text in warnings_about(rough["free"]) if "sides of the layer" in text)
+    assert f"WARNING: {said}" in summarise(rough["free"]).splitlines()
 
 
 def test_the_panel_shows_the_algebraic_map_on_the_pixels(rough, tmp_path):

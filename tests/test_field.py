@@ -15,6 +15,7 @@ from optical_palpation.batch import field, field_stress
 from optical_palpation.batch.field import remove_tiles
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.palpation import plausibility
+from optical_palpation.palpation.meshing import imprint_of
 from optical_palpation.palpation.submodel import submodel_inputs, submodel_stress
 from optical_palpation.palpation.tiling import Blend, tiled
 from optical_palpation.present import percent, read_result
@@ -235,6 +236,9 @@ def test_a_part_says_what_is_so_in_its_region(coarse):
     loaded = relief()
     loaded[:, loaded["x"] > 1.8] += 0.5
     initial = xr.full_like(loaded, THICKNESS) + 0.01 * loaded["y"]
+    smoothing = coarse.maps.attrs["imprint_smoothing_mm"]
+    imprint = imprint_of(loaded, initial, None, smoothing, beyond=True)
+    coarse = replace(coarse, problem=replace(coarse.problem, imprint=imprint))
     inputs = submodel_inputs(coarse, loaded, initial, 0.06, None)
     assert inputs.of_region((0.2, 1.7, 0.2, 1.0))["no_contact_share"] == 0.0
     open_part = inputs.of_region((1.9, 2.3, 0.2, 1.0))

@@ -351,7 +351,7 @@ def test_bad_calls_are_refused(tmp_path):
         fit_uniaxial(UniaxialTest(np.full(20, 0.8), test.stress), "mooney-rivlin")
     with pytest.raises(InputError, match="at least 5"):
         test.between(0.9)
-    with pytest.raises(InputError, match="by hand"):
+    with pytest.raises(InputError, match="give the strains at contact"):
         test.from_contact(-0.39)
     with pytest.raises(InputError, match="above -1"):
         test.from_contact(-1.5)

@@ -239,7 +239,7 @@ def test_a_study_without_estimates_has_the_same_stress(result, tmp_path, monkeyp
         ({"layer": {"extent": [0, 1, 0, 1, 1]}}, "must be an array of 4"),
         ({"grid": [0.1, 0.1]}, "must be .*an array of 3"),
         ({"grid": "fine"}, "grid"),
-        ({"loaded": loaded("um")}, r"map is in um; give mm: \(map / 1000\)"),
+        ({"loaded": loaded("um")}, r"map is in um; give mm: thickness_map\(map\)"),
     ],
 )
 def test_errors_of_a_study_name_the_argument(changes, message):
@@ -290,17 +290,20 @@ def test_a_study_takes_the_numbers_of_numpy(value):
 
 
 def test_advice_about_a_map_in_micrometres_can_be_taken():
-    wrong = (loaded() * 1000).assign_attrs(units="um")
+    given = loaded().assign_attrs(layer_extent=[float(X[1]), float(X[-1]), 0.0, 0.5])
+    wrong = (given * 1000).assign_attrs(given.attrs, units="um")
     with pytest.raises(InputError, match="give mm") as caught:
         op.algebraic_result(wrong, 0.5, op.MooneyRivlin(2.23))
-    advice = str(caught.value).split("give mm: ")[1]
-    right = eval(advice, {"map": wrong})
-    xr.testing.assert_allclose(right, loaded())
+    advice = str(caught.value).split("give mm: ")[1].partition(",")[0]
+    right = eval(advice, {"map": wrong, "thickness_map": op.thickness_map})
+    xr.testing.assert_allclose(right, given)
+    assert list(right.attrs["layer_extent"]) == given.attrs["layer_extent"]
     assert op.algebraic_result(right, 0.5, op.MooneyRivlin(2.23))
     wrong = loaded().assign_coords(x=("x", 1000 * X, {"units": "um"}))
     with pytest.raises(InputError, match="x is in um") as caught:
         op.algebraic_result(wrong, 0.5, op.MooneyRivlin(2.23))
-    right = eval("map." + str(caught.value).split("give mm: ")[1], {"map": wrong})
+    advice = str(caught.value).split("give mm: ")[1].partition(",")[0]
+    right = eval(advice, {"map": wrong, "thickness_map": op.thickness_map})
     np.testing.assert_allclose(right["x"], X)
 
 

@@ -62,10 +62,13 @@ def test_labelled_array_is_turned_and_converted():
 @pytest.mark.parametrize("use", [clean_thickness, lambda m: match_initial_thickness(0.6, m)])
 def test_map_in_another_unit_is_refused_where_it_is_used(use):
     good = thickness_map(MAP, x=X, y=Y)
-    with pytest.raises(InputError, match="is in um"):
-        use((1e3 * good).assign_attrs(units="um"))
+    in_um = (1e3 * good).assign_attrs(units="um")
+    with pytest.raises(InputError, match=r"is in um; give mm: thickness_map\(map\)"):
+        use(in_um)
+    in_um = in_um.assign_coords(x=("x", 1e3 * X, {"units": "um"}))
     with pytest.raises(InputError, match="x is in um"):
-        use(good.assign_coords(x=("x", 1e3 * X, {"units": "um"})))
+        use(good.assign_coords(x=in_um["x"]))
+    xr.testing.assert_allclose(thickness_map(in_um), good)  # as the error says
 
 
 def test_arrays_whose_labels_would_be_lost():

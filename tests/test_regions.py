@@ -122,6 +122,18 @@ def test_a_region_without_gaps_misses_nothing():
     assert float(region_statistics(maps, [ellipse])["missing"][0]) == 0.0
 
 
+def test_the_mean_lies_between_the_extremes_however_small_the_region():
+    maps = maps_of(lambda x, y: x + 0.3 * y)
+    dx, dy = float(maps["x"][1] - maps["x"][0]), float(maps["y"][1] - maps["y"][0])
+    for size in (0.2, 0.7, 1.1, 1.5):
+        for shift in np.linspace(0.0, 1.0, 7):
+            x, y = 2.0 + shift * dx, 1.0 + shift * dy
+            corners = [(x, y), (x + size * dx, y), (x + size * dx, y + size * dy)]
+            found = region_statistics(maps, [Region.polygon("small", corners)]).isel(region=0)
+            low, mean, high = (float(found[name]) for name in ("minimum", "mean", "maximum"))
+            assert low - 1e-12 <= mean <= high + 1e-12
+
+
 def test_extremes_errors_gaps_and_contrast():
     noise = np.random.default_rng(1).normal(0, 0.1, (Y.size, X.size))
     maps = maps_of(lambda x, y: -1.0 + noise, error=0.3)
@@ -482,6 +494,8 @@ def test_a_profile_keeps_states_whole_and_has_no_value_outside():
     ):
         with pytest.raises(InputError, match=message):
             line_profile(maps, *wrong)
+    with pytest.raises(InputError, match="a map alone is one by map"):
+        line_profile(maps["axial_stress"], (0, 1), (1, 1))
 
 
 def bumps(x, y):

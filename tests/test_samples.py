@@ -11,6 +11,7 @@ from optical_palpation.experiment.sample_data import (
     sample_truth,
     store_truth,
 )
+from optical_palpation.experiment.synthetic_oct import SyntheticOCT
 from optical_palpation.experiment.volumes import experiment_volumes, write_volume
 from optical_palpation.present import read_result
 from optical_palpation.study import read_study
@@ -41,6 +42,17 @@ def test_volumes_are_written_as_they_are_and_are_the_same_every_time(tmp_path):
         assert opened.shape == volume.shape
         np.testing.assert_array_equal(opened.bscan(4), again.bscan(4))
     assert not np.array_equal(volume.bscan(4), volume.bscan(5))
+
+
+def test_a_volume_is_no_mapped_file_while_it_is_written(tmp_path, monkeypatch):
+    """A full disk is an error of a write, but the end of a process that writes to a mapped file."""
+    volume = SyntheticOCT(np.full((3, 4), 0.1), (0.01, 0.1, 0.1), 30)
+    monkeypatch.setattr(np, "memmap", None)
+    write_volume(volume, tmp_path / "v.npy")
+    read = np.load(tmp_path / "v.npy")
+    assert read.dtype == np.float32
+    assert read.flags.c_contiguous
+    assert np.array_equal(read, np.stack(list(volume)))
 
 
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.02, 0.03)])

@@ -156,6 +156,10 @@ def test_files_that_are_not_trusted(here):
         ("[grid]", "[grid", ["no valid TOML", "line"]),
         ("c10 = 2.23", "c10 = (2, 1)", ["no valid TOML", "line 14", "c10 = (2, 1)"]),
         ("threads = 1", 'threads = "', ["no valid TOML"]),
+        ("c10 = 2.23", "c10 = 2,23", ["line 14", "c10 = 2,23 (decimals have a point)"]),
+        ("[grid]", "[friction]", ["Cannot declare [friction] twice", "line"]),
+        ('"loaded.npy"', '"C:\\Users\\loaded.npy"', ["(write / for \\ in a path)"]),
+        ('"loaded.npy"', "loaded.npy", ["volume = loaded.npy (text stands in quotes)"]),
         ("threads = 1", "threads = " + 5000 * "[", ["no valid TOML"]),
     ],
 )

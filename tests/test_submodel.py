@@ -180,13 +180,19 @@ def nudged(part, problem, state):
             "x 0.1 to 2.3, y 0 to 2.4 mm, that of the coarse solution x 0 to 2.4",
         ),
         ({"loaded": relief()[::2, ::2]}, "the map that it was computed from"),
+        ({"loaded": relief() + 1e-3}, "the loaded thickness differs by up to 0.001 mm"),
+        ({"initial_thickness": THICKNESS - 0.01}, "the initial thickness differs by up to 0.01 mm"),
     ],
 )
 def test_what_cannot_be_used(coarse, change, message):
-    given = {"region": (1.0, 1.5, 1.0, 1.5), "element_size": 0.05, "loaded": relief()} | change
-    loaded, region = given.pop("loaded"), given.pop("region")
+    given = {
+        "region": (1.0, 1.5, 1.0, 1.5),
+        "element_size": 0.05,
+        "loaded": relief(),
+        "initial_thickness": THICKNESS,
+    }
     with pytest.raises(InputError, match=message):
-        submodel_stress(coarse, loaded, THICKNESS, region, **given)
+        submodel_stress(coarse, **given | change)
 
 
 def test_what_a_part_takes_over_of_the_pressure_is_told():

@@ -350,12 +350,80 @@ def test_from_volumes_to_a_table_and_back_to_the_command(viewer, panel, study, t
         assert np.array_equal(again[name].values, bench.result.maps[name].values)
 
 
+def test_a_study_that_is_shown_and_not_changed_stays_as_it_is(panel, study, tmp_path):
+    text = study.read_text().replace('.npy"', '.npy"\nsample = "rise"', 2)
+    text = text.replace('unloaded.npy"\nsample = "rise"', 'unloaded.npy"\nsample = "line"')
+    for name in ("loaded.npy", "unloaded.npy"):
+        text = text.replace(f'"{name}"', f'"{(study.parent / name).as_posix()}"')
+    for before, after in {
+        "c10 = 2.23": "c10 = 2.23456789",
+        "c01 = 0.703": "c01 = -0.00012345",
+        "window = 0.15": "window = 0.0125",
+        "sample = 0.05": "sample = 1.98765",
+    }.items():
+        assert before in text
+        text = text.replace(before, after)
+    measurement, numbers = panel.measurement, panel.solving.numbers
+    for size in ([0.20000001, 0.2, 0.1], 0.20000001, 0.0004):
+        file = tmp_path / "study.toml"
+        file.write_text(text.replace("[0.2, 0.2, 0.2]", str(size)))
+        panel.open_study(str(file))
+        session = panel.bench.session
+        sides = {side: dict(session.tables[side]) for side in ("loaded", "unloaded")}
+        panel.solving.apply()
+        assert {side: session.tables[side] for side in sides} == sides
+        assert session.tables["material"]["c10"] == 2.23456789
+        assert session.tables["material"]["c01"] == -0.00012345
+        assert session.tables["friction"] == {"window": 0.0125, "sample": 1.98765}
+        assert session.tables["grid"]["element_size"] == size
+    # what is typed or dragged counts, for both volumes and to the usual digits
+    measurement.sample_edge.setCurrentText("fall")
+    numbers["friction.window"]._slider.setValue(70)
+    panel.solving.apply()
+    assert [session.tables[side]["sample"] for side in sides] == ["fall", "fall"]
+    assert session.tables["friction"]["window"] == 0.35
+
+
+def test_what_was_drawn_since_counts_for_the_stress_and_ends_with_its_volume(
+    viewer, panel, study, tmp_path
+):
+    bench, solving = panel.bench, panel.solving
+    panel.open_study(str(study))
+    solving.solve(estimates=False)  # finds the layer, too
+    wait_idle(panel)
+    found, before = dict(bench.seen), bench.result
+    assert set(found) == {"loaded", "unloaded"}
+    assert not any(it.visible for it in bench.layers("boundary"))
+    solving.solve(estimates=False)
+    wait_idle(panel)
+    assert bench.seen["loaded"] is found["loaded"]  # nothing was drawn
+    panel.correction.exclude()
+    drag(viewer, (0.5, 0.7), (0.9, 1.1))
+    solving.solve(estimates=False)
+    wait_idle(panel)
+    assert bench.seen["loaded"] is not found["loaded"]
+    assert bench.seen["unloaded"] is found["unloaded"]
+    assert not bench.result.maps["axial_stress"].equals(before.maps["axial_stress"])
+    panel.save_study(str(tmp_path / "mine.toml"))
+    panel.open_study(str(tmp_path / "mine.toml"))
+    made = dict(bench.session.corrections)
+    assert len(made["loaded"].exclusions) == 1
+    panel.measurement.find_layer()
+    wait_idle(panel)
+    solving.apply()
+    assert bench.session.corrections == made  # to the last digit
+    choice = panel.measurement.choice["loaded"]
+    choice.setCurrentText("unloaded.npy")
+    solving.apply()
+    assert not list(bench.layers("excluded", "loaded"))
+    assert not bench.session.corrections.get("loaded")
+
+
 def test_a_computation_can_be_cancelled_and_the_window_stays_alive(panel, study):
     panel.open_study(str(study))
     panel.measurement.find_layer()
     wait_idle(panel)
     panel.solving.numbers["grid.element_size"].set(0.03)
-    panel.solving._size = None
     stages = []
     panel.bench.background.progressed.connect(lambda stage, share: stages.append((stage, share)))
     panel.solving.solve()
@@ -417,7 +485,6 @@ def test_what_is_missing_or_wrong_is_said(panel, study, tmp_path):
     assert "friction.window: is missing" in panel.message.text()
     panel.solving.numbers["friction.window"].set(0.1)
     panel.solving.numbers["grid.element_size"].set(5.0)
-    panel.solving._size = None
     panel.solving.solve()
     wait(lambda: not panel.bench.background.is_busy)
     assert panel.message.text().startswith("grid: the element size along z, 5 mm, is larger")

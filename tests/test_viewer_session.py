@@ -154,6 +154,19 @@ def maps() -> xr.Dataset:
     )
 
 
+def test_maps_lie_where_their_points_are_however_these_are_spaced():
+    at = {"y": np.linspace(1.0, 0.0, 11), "x": np.linspace(0.0, 1.0, 41) ** 2}
+    place = xr.DataArray(at["x"], {"x": at["x"]}, "x") + xr.DataArray(at["y"], {"y": at["y"]}, "y")
+    (layer,) = map_layers(xr.Dataset({"thickness": place.assign_attrs(units="mm")}))
+    y, x = (
+        first + step * np.arange(count)
+        for first, step, count in zip(
+            layer.keywords["translate"], layer.keywords["scale"], layer.data.shape, strict=True
+        )
+    )
+    assert np.abs(layer.data - (y[:, None] + x)).max() < np.diff(at["x"]).max()
+
+
 def test_maps_carry_units_and_those_of_a_kind_share_their_limits():
     layers = {layer.keywords["metadata"][KEY]["variable"]: layer for layer in map_layers(maps())}
     assert set(layers) == set(maps().data_vars) - {"total"}

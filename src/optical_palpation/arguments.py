@@ -7,6 +7,7 @@ import functools
 import inspect
 import math
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Set
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -79,6 +80,25 @@ def in_words(value: object) -> str:
     shown = text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
     kind = type(value).__name__
     return "None" if value is None else shown if isinstance(value, str) else f"{kind} {shown}"
+
+
+def toml_fault(error: Exception, text: str) -> str:
+    """Say what the parser found wrong with a text in TOML, on which line, and what may be meant."""
+    # names of tables are tuples to the parser
+    said = re.sub(
+        r"\(((?:'[^']*',? ?)+)\)",
+        lambda it: "[" + ".".join(re.findall("'([^']*)'", it[1])) + "]",
+        str(error),
+    )
+    found = re.search(r"line (\d+)", said)
+    line = text.split("\n")[int(found[1]) - 1].strip() if found else ""
+    hints = {
+        r'=.*"[^"]*\\': "write / for \\ in a path",
+        r"=[\s\[]*-?\d+,\d": "decimals have a point",
+        r"=\s*(?!true|false|nan|inf)[A-Za-z./~]": "text stands in quotes",
+    }
+    hint = next((f" ({hint})" for sign, hint in hints.items() if re.search(sign, line)), "")
+    return said + (f": {line[:80]}{hint}" if line else "")
 
 
 def numbers(value: object, count: int, name: str, what: str) -> tuple[float, ...]:

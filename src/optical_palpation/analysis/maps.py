@@ -27,8 +27,16 @@ def check_map(field: xr.DataArray, name: str) -> xr.DataArray:
         if axis not in field.coords or field.sizes[axis] < 3:
             raise InputError(f"{name}: needs at least 3 points with coordinates in mm along {axis}")
         steps = np.diff(field[axis].values)
-        if not np.all(steps > 0.0) or np.ptp(steps) > 1e-3 * steps.mean():
-            raise InputError(f"{name}: coordinates along {axis} must increase in equal steps")
+        if not np.all(steps > 0.0):
+            raise InputError(
+                f"{name}: coordinates along {axis} must increase; map.sortby('{axis}') sorts them"
+            )
+        if np.ptp(steps) > 1e-3 * steps.mean():
+            raise InputError(
+                f"{name}: coordinates along {axis} must increase in equal steps, not in steps of "
+                f"{steps.min():.3g} to {steps.max():.3g} mm; map.interp({axis}=...) takes it to "
+                "such points, best the thickness map before its stress is computed"
+            )
     if not np.isfinite(field.values).any():
         raise InputError(f"{name}: holds no finite value")
     return field
@@ -81,6 +89,16 @@ def at_points_of(
         at[axis] = np.where(np.abs(wanted - nearest) < slack, nearest, wanted)
     read = field.interp(at, method=method, kwargs={"fill_value": beyond})
     return read.assign_coords(y=like["y"], x=like["x"])
+
+
+def evenly(field: xr.DataArray) -> xr.DataArray:
+    """Return the map on evenly spaced points: where its own are not, each has the nearest one's."""
+    for axis in ("y", "x"):
+        at = field[axis].values
+        even = np.linspace(at[0], at[-1], at.size)
+        if at.size > 1 and np.max(np.abs(at - even)) > 1e-3 * abs(even[1] - even[0]):
+            field = field.sel({axis: even}, method="nearest").assign_coords({axis: even})
+    return field
 
 
 def point_areas(field: xr.DataArray) -> xr.DataArray:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from optical_palpation.arguments import number
+from optical_palpation.arguments import check_instance, number
 from optical_palpation.errors import InputError
 
 
@@ -38,6 +38,8 @@ def line_profile(
     InputError
         If the ends are no two different places, the width is negative, or the line misses the map.
     """
+    what = "a Dataset of maps, as result.maps; a map alone is one by map.to_dataset(name='stress')"
+    check_instance(maps, xr.Dataset, "maps", what)
     ends = []
     for name, point in (("start", start), ("end", end)):
         try:

@@ -399,9 +399,10 @@ def _statistics(
     held = share * areas
     w, v = held[seen], values[seen]
     mean = float(np.average(v, weights=w))
-    # of pixels that only touch the region, none is its extreme, unless there are no others
-    most = share[seen] >= 0.5
-    inner = v[most] if most.any() else v
+    # of pixels that only touch the region, none is its extreme, unless the mean is theirs
+    inner = v[share[seen] >= 0.5]
+    if not (inner.size and inner.min() <= mean <= inner.max()):
+        inner = v
     row = {
         "mean": mean,
         "standard_deviation": float(np.sqrt(np.average((v - mean) ** 2, weights=w))),

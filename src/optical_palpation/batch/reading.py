@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from optical_palpation.arguments import toml_fault
 from optical_palpation.errors import InputError
 
 #: Values that are paths; they count from the folder of the table.
@@ -217,7 +218,7 @@ def _from_toml(source: Path, text: str) -> tuple[list[Scan], dict[str, Any]]:
     try:
         given = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{source}: is no valid TOML: {error}") from error
+        raise InputError(f"{source}: is no valid TOML: {toml_fault(error, text)}") from error
     known = {"study": str, "folder": str, "regions": str, "overrides": dict, "sweep": dict}
     rows: Any = given.pop("scan", [{}])
     for key, value in given.items():

@@ -27,7 +27,15 @@ if TYPE_CHECKING:
     from optical_palpation.friction import FrictionEstimate
 
 
+#: What curves that were saved were computed with.
+_OF_CURVES = (
+    *("coefficients", "layer_size", "initial_thickness", "law", "c10", "c01", "c20", "c30"),
+    *("bulk_to_shear", "sample_friction", "step", "elements", "workers", "scheduler"),
+)
+
+
 def friction(
+    context: typer.Context,
     measurement: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -258,8 +266,10 @@ def friction(
             "without a measurement there are only calibration curves: --plot or --save-calibration"
         )
     layer = {"--layer-size": layer_size, "--initial-thickness": initial_thickness, "--c10": c10}
-    if calibration and (said := [name for name, value in layer.items() if value is not None]):
-        raise typer.BadParameter(f"--calibration already tells {', '.join(said)}")
+    typed = [name for name in _OF_CURVES if _is_typed(context, name)]
+    if calibration and typed:
+        said = ", ".join(f"--{name.replace('_', '-')}" for name in typed)
+        raise typer.BadParameter(f"--calibration already tells {said}")
     needed: dict[str, object] = {} if calibration else {**layer}
     if len(files) == 2:
         needed |= {"--window-depth": window_depth, "--sample-depth": sample_depth}
@@ -381,3 +391,9 @@ def _describe(estimate: FrictionEstimate, curves: xr.DataArray) -> str:
             "coefficient is a bound (--coefficients widens the range)"
         )
     return "\n".join(lines)
+
+
+def _is_typed(context: typer.Context, name: str) -> bool:
+    """Whether an option that has a default was given."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"

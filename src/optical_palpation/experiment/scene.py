@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from optical_palpation import material
+from optical_palpation.arguments import toml_fault
 from optical_palpation.errors import InputError
 from optical_palpation.thickness.frames import smooth_map
 from optical_palpation.volume.contents import translated_errors
@@ -294,7 +295,7 @@ def read_scene(name: str | Path) -> Scene:
     try:
         content = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{name}: is no TOML file: {error}") from None
+        raise InputError(f"{name}: is no valid TOML: {toml_fault(error, text)}") from None
     try:
         scene = Scene.model_validate(content)
     except ValidationError as error:

@@ -68,8 +68,9 @@ def write_volume(volume: SyntheticOCT, path: str | Path) -> None:
         If the file cannot be written.
     """
     nz, ny, nx = volume.shape
-    with replacing(path) as temporary:
-        stack = np.lib.format.open_memmap(temporary, "w+", np.float32, (ny, nz, nx))
-        for y, image in enumerate(volume):
-            stack[y] = image
-        stack.flush()
+    header = {"descr": "<f4", "fortran_order": False, "shape": (ny, nz, nx)}
+    # A stream, and no mapped file: one that the disk has no room for kills the process.
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+        for image in volume:
+            file.write(image.astype("<f4").tobytes())

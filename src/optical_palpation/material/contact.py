@@ -79,8 +79,8 @@ def find_contact(test: UniaxialTest, within: float = 0.15) -> Contact:
         if used.sum() < 8:
             raise InputError(
                 f"uniaxial test {test.source}: only {used.sum()} points up to a strain of "
-                f"{last + within:g}; 8 are needed to find the contact. Widen `within`, or give the "
-                "contact by hand"
+                f"{last + within:g}; 8 are needed to find the contact. Give the strain at contact, "
+                "where 0 trusts the recorded zero"
             )
         x, y = strain[used], load[used]
         modulus = max((y[-1] - y[0]) / max(x[-1] - start, 1e-6), 1e-6)

@@ -151,7 +151,7 @@ class UniaxialTest:
         if keep.sum() < 5:
             raise InputError(
                 f"uniaxial test {self.source}: {keep.sum()} points lie beyond a strain of {end:g}, "
-                "at least 5 are needed; give the contact and the end of the toe by hand"
+                "at least 5 are needed; give the strains at contact and at the end of the toe"
             )
         stress = self.stress / factor if self.measure == "true" else self.stress
         return replace(self, stretch=self.stretch[keep] / factor, stress=stress[keep])

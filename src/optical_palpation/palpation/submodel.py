@@ -18,7 +18,7 @@ from optical_palpation.mechanics.submodel import Bounds, part_of, solve_part
 from optical_palpation.palpation.algebraic import algebraic_stress
 from optical_palpation.palpation.computational import checked, element_sizes, outcome
 from optical_palpation.palpation.memory import check_memory
-from optical_palpation.palpation.meshing import PADDING, Hold, layer_problem
+from optical_palpation.palpation.meshing import PADDING, Hold, imprint_of, layer_problem
 from optical_palpation.palpation.plausibility import misread
 from optical_palpation.palpation.progress import Iterations, Progress
 from optical_palpation.palpation.result import StressResult
@@ -34,6 +34,8 @@ from optical_palpation.thickness.initial import match_initial_thickness
 
 #: Width in thicknesses of what is computed around the region and left out of the result.
 MARGIN = 0.5
+#: Difference in thicknesses up to which maps are the same, one of them rounded in a file.
+SAME = 1e-3
 
 
 @explained
@@ -114,11 +116,6 @@ def submodel_stress(
         whole.slip_length,
     )
     imprint = fine.imprint
-    if imprint.loaded.shape != whole.imprint.loaded.shape:
-        raise InputError(
-            f"the thickness map has {imprint.loaded.shape[::-1]} pixels, that of the coarse "
-            f"solution {whole.imprint.loaded.shape[::-1]}: give the map that it was computed from"
-        )
     if whole.imprint.motion is not None:
         fine = replace(fine, imprint=replace(imprint, motion=whole.imprint.motion))
     inner = _before_load(whole, state, (x0, x1, y0, y1))
@@ -270,6 +267,7 @@ def submodel_inputs(
     initial = match_initial_thickness(initial_thickness, loaded, glued=pulls)
     thickness = typical_thickness(initial)
     _check_extent(layer_extent_of(loaded), coarse, PADDING * thickness)
+    _check_maps(loaded, initial, coarse)
     sizes = element_sizes(element_size, loaded, thickness)
     if sizes[0] * sizes[1] >= whole.grid.spacing[1] * whole.grid.spacing[2]:
         raise InputError(
@@ -298,6 +296,28 @@ def _check_extent(
             f"the layer of the map covers x {', y '.join(here)} mm, that of the coarse solution x "
             f"{', y '.join(said)} mm: give the same map with the same layer extent"
         )
+
+
+def _check_maps(loaded: xr.DataArray, initial: xr.DataArray, coarse: StressResult) -> None:
+    """Refuse maps that are not those of the coarse solution: its sides would not fit the part."""
+    assert coarse.problem is not None
+    own = coarse.problem.imprint
+    smoothing = float(coarse.maps.attrs["imprint_smoothing_mm"])
+    free = coarse.maps.attrs["edges"] == "free"
+    given = imprint_of(loaded, initial, None, smoothing, beyond=free)
+    if given.loaded.shape != own.loaded.shape:
+        raise InputError(
+            f"the thickness map has {given.loaded.shape[::-1]} pixels, that of the coarse "
+            f"solution {own.loaded.shape[::-1]}: give the map that it was computed from"
+        )
+    pairs = {"initial": (given.unloaded, own.unloaded), "loaded": (given.loaded, own.loaded)}
+    for name, (here, there) in pairs.items():
+        off = float(np.abs(here - there).max())
+        if off > SAME * float(np.median(own.unloaded)):
+            raise InputError(
+                f"the {name} thickness differs by up to {off:.2g} mm from that of the coarse "
+                "solution: give the one that it was computed from"
+            )
 
 
 _SETTINGS = ("method", "edges", "bulk_to_shear", "initial_thickness", "no_contact_share", "unusual")

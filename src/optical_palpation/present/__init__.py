@@ -9,7 +9,7 @@ from optical_palpation.present.output import check_outputs
 from optical_palpation.present.panel import write_panel
 from optical_palpation.present.profiles import centre_profiles, write_profiles
 from optical_palpation.present.report import write_report
-from optical_palpation.present.summary import edge_influence, of_solution, summarise
+from optical_palpation.present.summary import of_sides, of_solution, summarise
 from optical_palpation.present.terms import percent
 from optical_palpation.present.tiff import write_tiff
 from optical_palpation.present.vtk import write_vtk
@@ -18,7 +18,7 @@ from optical_palpation.present.writing import write
 __all__ = [
     "centre_profiles",
     "check_outputs",
-    "edge_influence",
+    "of_sides",
     "of_solution",
     "percent",
     "read_result",

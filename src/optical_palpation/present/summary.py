@@ -60,6 +60,15 @@ def edge_influence(attrs: Mapping[Hashable, Any], always: bool = False) -> str:
     )
 
 
+def of_sides(attrs: Mapping[Hashable, Any]) -> list[str]:
+    """Say what sides of the layer that matter ask of the user; nothing where they do not."""
+    sides = edge_influence(attrs)
+    return [
+        f"sides of the layer: {sides}. See to it that the layer ends where it is said to, at the "
+        "border of the map or of the extent that was given, and has such edges"
+    ] * bool(sides)
+
+
 def has_bands(attrs: Mapping[Hashable, Any]) -> bool:
     """Whether the errors of a result are 95 % bands, which contain those of the mesh."""
     return "error_bands" in attrs
@@ -355,7 +364,10 @@ def summarise(result: StressResult) -> str:
             said += f", on elements of {sizes} mm chosen for {percent(maps.attrs['accuracy'])}"
         lines.append(f"error of the mesh, estimated: {said}")
     elif forces and not ("submodel_region_mm" in maps.attrs or "sample_shear_modulus" in maps):
-        lines.append("error of the mesh: unknown, because there is no solution on coarser elements")
+        lines.append(
+            "error of the mesh: unknown, because estimates were left out, or there is no solution "
+            "on coarser elements"
+        )
     if rim := maps.attrs.get("force_rim_model_mN", 0.0):
         lines.append(
             f"of the force, about {rounded(rim, digits=2)} mN is due to the model of the rim, "
@@ -383,8 +395,6 @@ def summarise(result: StressResult) -> str:
         lines.append("contact with the sample: " + ", ".join(shares))
         if "glued" in shares[0] and (pulled := area_mean(maps["contact_pressure"] < 0)):
             lines.append(f"pulled by the sample: {percent(pulled)} of the map")
-    if sides := edge_influence(maps.attrs):
-        lines.append(f"sides of the layer: {sides}")
     if result.series is not None:
         lines.append("loads: " + of_series(result.series))
     if "sample_shear_modulus" in maps:
@@ -413,5 +423,6 @@ def summarise(result: StressResult) -> str:
                 "the gaps is a guess"
             )
     doubts = [*of_solution(maps.attrs), *json.loads(maps.attrs.get("unusual", "[]"))]
+    doubts += of_sides(maps.attrs)
     lines += [f"WARNING: {text}" for text in doubts]
     return plain("\n".join(lines))

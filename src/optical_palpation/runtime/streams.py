@@ -65,6 +65,6 @@ def take_over_streams() -> None:
             io.BufferedWriter(raw),
             encoding=getattr(given, "encoding", None) or "utf-8",
             errors="backslashreplace",
-            line_buffering=name == "stderr" or raw.isatty(),
+            line_buffering=True,  # both in one file stand in the order in which they were said
         )
         setattr(sys, name, stream)

@@ -315,7 +315,7 @@ def _check_shape(sample: Sample, loaded: xr.DataArray) -> None:
             raise InputError(f'sample: the relief is a map or "flat", not {sample.relief!r}')
         return
     try:
-        relief = on_grid(sample.relief)
+        relief = on_grid(sample.relief, "relief")
     except InputError as error:
         raise InputError(f"sample: the relief is no map of heights in mm: {error}") from error
     if absent := int((~np.isfinite(relief.values)).sum()):

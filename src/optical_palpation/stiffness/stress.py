@@ -153,7 +153,7 @@ def sample_stress(
         sample_thickness=sample.thickness,
         sample_law=sample.law or NeoHookean(c10=0.5 * material.shear_modulus),
         relief=(
-            smooth_map(without_noise(on_grid(sample.relief), element_size))
+            smooth_map(without_noise(on_grid(sample.relief, "relief"), element_size))
             if isinstance(sample.relief, xr.DataArray)
             else _flat
         ),

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from optical_palpation.arguments import check_instance, in_words
+from optical_palpation.arguments import check_instance, in_words, toml_fault
 from optical_palpation.errors import InputError, MaterialError, OutputError
 from optical_palpation.files import replacing
 from optical_palpation.palpation.input_errors import OF_SAMPLE
@@ -93,12 +93,8 @@ def read_study(path: str | Path, changes: Mapping[str, object] | None = None) ->
             f"{path}: no such file; 'optical-palpation new {path}' writes one to begin with"
         ) from None
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        found = re.search(r"line (\d+)", str(error))
-        lines = content.decode("utf-8-sig").split("\n")[: int(found[1])] if found else [""]
-        line = lines[-1].strip()
-        raise InputError(
-            f"{path}: is no valid TOML: {error}{': ' + line[:80] if line else ''}{kind}"
-        ) from error
+        fault = toml_fault(error, content.decode("utf-8-sig"))
+        raise InputError(f"{path}: is no valid TOML: {fault}{kind}") from error
     except UnicodeDecodeError as error:
         number = content[: error.start].count(b"\n") + 1
         raise InputError(

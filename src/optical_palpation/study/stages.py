@@ -212,12 +212,8 @@ def warnings_about(result: StressResult) -> list[str]:
         *present.of_solution(attrs),
         *json.loads(attrs.get("unusual", "[]")),
         *warnings_about_thickness(attrs),
+        *present.of_sides(attrs),
     ]
-    if sides := present.edge_influence(attrs):
-        said.append(
-            f"sides of the layer: {sides}. See to it that the layer ends where the study says, at "
-            "the border of the map or of the extent in [layer], and has such edges"
-        )
     if (imbalance := attrs.get("force_balance", 0.0)) > _NOTABLE_IMBALANCE:
         said.append(
             f"the forces at window and sample differ by {present.percent(imbalance)}: the solution "

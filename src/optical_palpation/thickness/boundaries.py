@@ -458,7 +458,10 @@ def _scan(
     if spacing is None or scale is None:
         raise InputError("find_layer: give the spacing (z, y, x) in mm and the scale of the volume")
     if len(source.shape) != 3 or min(source.shape) < 1 or source.shape[0] < 32:
-        raise InputError(f"a volume of shape {source.shape} (z, y, x) is too small for a layer")
+        raise InputError(
+            f"a volume of shape {source.shape} (z, y, x) is too small for a layer; is the order of "
+            "the axes right?"
+        )
     try:
         dz, dy, dx = map(float, spacing)
     except (TypeError, ValueError):

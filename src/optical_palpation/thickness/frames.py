@@ -43,8 +43,8 @@ def thickness_map(
     """Make a thickness map of an array in memory; `values` is [y, x] in mm, NaN where missing.
 
     Masked pixels of a ``numpy.ma`` array are missing. Of an ``xarray.DataArray`` the dimensions
-    say how it lies, its coordinates are taken where no others are given, and values and coordinates
-    are converted where its attributes state another unit than mm.
+    say how it lies, its coordinates and its ``layer_extent`` are taken where no others are given,
+    and values and coordinates are converted where its attributes state another unit than mm.
 
     The lateral frame is given by `x` and `y` (pixel centres in mm, ascending or descending), or
     by `field_of_view` or `pixel_spacing`; these, `layer_extent`, the result and the errors are
@@ -61,6 +61,8 @@ def thickness_map(
         pixel_spacing=pixel_spacing,
         where=where,
     )
+    if layer_extent is None and "layer_extent" in getattr(values, "attrs", {}):
+        layer_extent = layer_extent_of(result.assign_attrs(values.attrs))  # type: ignore[union-attr]
     result.attrs = {
         "units": "mm",
         "long_name": "loaded thickness of the layer",
@@ -160,14 +162,10 @@ def on_grid(thickness: xr.DataArray, name: str = "thickness") -> xr.DataArray:
     for part, values in (("map", thickness), ("x", thickness["x"]), ("y", thickness["y"])):
         unit = stated_unit("", values.attrs, f"{name}, {part}")
         if unit not in (None, "mm"):
-            factor = MM[unit]
-            scale = f"* {factor:g}" if factor > 1 else f"/ {1 / factor:g}"
-            change = (
-                f"assign_coords({part}=(map.{part} {scale}).assign_attrs(units='mm'))"
-                if part in ("x", "y")
-                else f"(map {scale}).assign_attrs(map.attrs, units='mm')"
+            raise InputError(
+                f"{name}: {part} is in {unit}; give mm: thickness_map(map), which converts "
+                "coordinates that state their unit, too"
             )
-            raise InputError(f"{name}: {part} is in {unit}; give mm: {change}")
     for axis in ("x", "y"):
         _ascending(thickness[axis].values, axis, thickness.sizes[axis], name)
     thickness = thickness.transpose("y", "x")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from qtpy.QtWidgets import QComboBox, QFileDialog, QFormLayout, QGroupBox, QPushButton
 
 from optical_palpation.errors import OpticalPalpationError
@@ -16,7 +17,11 @@ from optical_palpation.viewer.layers import (
     exclusion_layer,
 )
 from optical_palpation.viewer.measurement import show_found
+from optical_palpation.viewer.session import SIDES
 from optical_palpation.viewer.workbench import Workbench
+
+#: What is moved with the mouse moves further, and what is drawn rounds by less, samples.
+_UNMOVED = 1e-3
 
 
 class Correction(QGroupBox):
@@ -43,7 +48,6 @@ class Correction(QGroupBox):
         form.addRow(self.again)
         row = button_row(("Load…", "", self._ask_to_load), ("Save…", "", self._ask_to_save))
         form.addRow("file", row)
-        bench.opened.connect(self._clear)
         bench.found.connect(self._show)
 
     def draw_anchors(self) -> None:
@@ -77,23 +81,37 @@ class Correction(QGroupBox):
             self._bench.session.frame(side),
         )
 
+    def apply(self) -> None:
+        """Put what is drawn into the study.
+
+        Raises
+        ------
+        InputError
+            If something lies outside of its volume.
+        """
+        bench = self._bench
+        for side in SIDES:
+            if not any(list(bench.layers(kind, side)) for kind in ("anchors", "excluded")):
+                continue
+            drawn = self.drawn(side)
+            within = _UNMOVED * min(bench.session.frame(side).spacing)
+            if not _are_same(drawn, bench.session.corrections.get(side, Corrections()), within):
+                bench.session.corrections[side] = drawn
+
     def find_again(self) -> None:
         """Find anew what the corrections of this volume change."""
         bench, side = self._bench, self.side.currentText()
         if not self._ready(side):
             return
         try:
-            corrections = self.drawn(side)
+            self.apply()
         except OpticalPalpationError as error:
             bench.said.emit(str(error))
             return
         session = bench.session
-
-        def compute(tell: Any) -> Any:
-            session.corrections[side] = corrections
-            return session.find(side, tell)
-
-        bench.background.run(compute, lambda found: show_found(bench, side, found))
+        bench.background.run(
+            lambda tell: session.find(side, tell), lambda found: show_found(bench, side, found)
+        )
 
     def load(self, path: str) -> None:
         """Take the corrections of a file for those of the chosen volume.
@@ -177,12 +195,6 @@ class Correction(QGroupBox):
         )
         self._choose()
 
-    def _clear(self) -> None:
-        """Forget what was drawn for another study."""
-        for kind in ("anchors", "excluded", "boundary"):
-            for layer in list(self._bench.layers(kind)):
-                self._bench.viewer.layers.remove(layer)
-
     def _ask_to_load(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Corrections", filter="*.txt;;*")
         self._bench.attempt(self.load, path)
@@ -190,3 +202,12 @@ class Correction(QGroupBox):
     def _ask_to_save(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Corrections", "corrections.txt")
         self._bench.attempt(self.save, path)
+
+
+def _are_same(drawn: Corrections, given: Corrections, within: float) -> bool:
+    """Whether nothing was drawn, moved or deleted; a position in samples is rounded."""
+    pairs = list(zip(drawn, given, strict=False))
+    return (len(drawn.anchors), len(drawn.exclusions)) == (
+        len(given.anchors),
+        len(given.exclusions),
+    ) and all(a[0] == b[0] and np.allclose(a[1:], b[1:], 0.0, within) for a, b in pairs)

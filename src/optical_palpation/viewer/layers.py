@@ -17,6 +17,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from optical_palpation.analysis import Region
+from optical_palpation.analysis.maps import evenly
 from optical_palpation.errors import InputError
 from optical_palpation.present.figure import colour_map
 from optical_palpation.present.terms import STATE_NUMBERS, STATES, common_limits, is_map, term
@@ -215,7 +216,7 @@ def map_layers(
         groups.setdefault(terms[name].scale, {})[name] = maps[name]
     layers = []
     for name in names:
-        field, about = maps[name].transpose("y", "x"), terms[name]
+        field, about = evenly(maps[name].transpose("y", "x").sortby(["y", "x"])), terms[name]
         caption = f"{prefix}{about.label}"
         y, x = field["y"].values, field["x"].values
         steps = [float(v[-1] - v[0]) / (v.size - 1) if v.size > 1 else 1.0 for v in (y, x)]

@@ -79,6 +79,7 @@ class Measurement(QGroupBox):
         )
         self.sample_edge.addItems(["rise", "line", "fall"])
         self.sample_edge.setToolTip("how the sample side shows: a rise to scattering, or a line")
+        self._shown_edges = self._edges()
         form.addRow("window side", self.window_edge)
         form.addRow("sample side", self.sample_edge)
         self.extent = {edge: QLineEdit() for edge in _EDGES}
@@ -140,6 +141,7 @@ class Measurement(QGroupBox):
         extent = self._extent()
         if extent != session.tables.get("layer", {}).get("extent"):
             session.change({"layer.extent": extent})
+        edges = self._edges()
         for side in reversed(SIDES):  # the loaded layer first: without it there is no study
             chosen = self.choice[side].currentData()
             if chosen == _NUMBER:
@@ -148,16 +150,21 @@ class Measurement(QGroupBox):
                     raise InputError("give the thickness of the unloaded layer in mm, or a volume")
                 session.change({side: {"thickness": value}})
             elif isinstance(chosen, dict):
-                if session.input(side).get("volume") != chosen["volume"]:
+                other = session.input(side).get("volume") != chosen["volume"]
+                if other:
                     session.change({side: dict(chosen)})
                     session.corrections.pop(side, None)
-                own = {"window": self._window(), "sample": self.sample_edge.currentText()}
+                    self._bench.forget_found(side)
                 before = session.input(side)
+                # the fields show the loaded volume; what the study says of the other one stays
+                # until they are changed
+                typed = {k: v for k, v in edges.items() if other or v != self._shown_edges[k]}
                 session.change(
-                    {f"{side}.{k}": v for k, v in own.items() if before.get(k, _USUAL[k]) != v}
+                    {f"{side}.{k}": v for k, v in typed.items() if before.get(k, _USUAL[k]) != v}
                 )
             elif not session.input(side):
                 raise InputError(f"choose the {side} layer: {self._how_to_choose()}")
+        self._shown_edges = edges
 
     def find_layer(self) -> None:
         """Find the layer in the volumes of the study, and show it."""
@@ -209,12 +216,13 @@ class Measurement(QGroupBox):
                 f"the whole field of view; found {', '.join(text or 'nothing' for text in texts)}"
             ) from None
 
-    def _window(self) -> str | float:
-        text = self.window_edge.currentText()
+    def _edges(self) -> dict[str, str | float]:
+        """How both sides of the layer show, as the fields say."""
+        window = self.window_edge.currentText()
         try:
-            return float(text)
+            return {"window": float(window), "sample": self.sample_edge.currentText()}
         except ValueError:
-            return text
+            return {"window": window, "sample": self.sample_edge.currentText()}
 
     def _given(self) -> dict[str, Any]:
         how: dict[str, Any] = {}
@@ -284,6 +292,7 @@ class Measurement(QGroupBox):
         loaded = session.input("loaded")
         self.window_edge.setCurrentText(str(loaded.get("window", _USUAL["window"])))
         self.sample_edge.setCurrentText(loaded.get("sample", _USUAL["sample"]))
+        self._shown_edges = self._edges()
         extent = session.tables.get("layer", {}).get("extent") or [""] * len(_EDGES)
         for field, value in zip(self.extent.values(), extent, strict=True):
             field.setText(str(value))
@@ -301,6 +310,7 @@ def _named(side: str, name: str) -> bool:
 
 def show_found(bench: Workbench, side: str, found: Any) -> None:
     """Show the layer that was found in a volume."""
+    bench.seen[side] = found
     bench.show(boundary_layers(found, bench.session.frame(side), side))
     maps = map_layers(found, f"{side}: ", only=_MAPS)
     for layer in maps:  # they would cover the B-scans

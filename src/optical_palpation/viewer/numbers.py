@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from decimal import Decimal
+
 from qtpy.QtCore import Qt, Signal
 from qtpy.QtWidgets import QCheckBox, QDoubleSpinBox, QHBoxLayout, QSlider, QWidget
 
@@ -15,13 +17,13 @@ class Number(QWidget):
     Parameters
     ----------
     low, high
-        What can be typed.
+        What can be typed; a value that is set may lie beyond.
     reach
         What the slider spans; it grows where a value lies beyond.
     unit
         Shown after the number.
     decimals
-        Digits after the point.
+        Digits after the point; more where a value that is set has more.
     value
         To begin with; None where only the user knows.
     word
@@ -41,14 +43,10 @@ class Number(QWidget):
         word: str | None = None,
     ) -> None:
         super().__init__()
-        self._reach = reach
+        self._low, self._high, self._reach, self._decimals = low, high, reach, decimals
         self._box = QDoubleSpinBox()
-        self._box.setDecimals(decimals)
-        step = 10.0**-decimals
-        self._absent = low - step  # one step below all that is allowed: nothing yet
-        self._box.setRange(self._absent, high)
         self._box.setSpecialValueText(f"{_ABSENT} {unit}".rstrip())
-        self._box.setSingleStep(max(step, (reach[1] - reach[0]) / 100))
+        self._box.setSingleStep(max(10.0**-decimals, (reach[1] - reach[0]) / 100))
         self._box.setSuffix(f" {unit}" if unit else "")
         self._box.setKeyboardTracking(False)
         self._box.setFixedWidth(140)
@@ -74,14 +72,26 @@ class Number(QWidget):
         return None if value <= self._absent else value
 
     def set(self, value: float | str | None) -> None:
-        """Show another number, without a signal; one of more digits than are shown is rounded."""
+        """Show another number, without a signal, to its last digit."""
         self._word.blockSignals(True)
         self._word.setChecked(isinstance(value, str))
         self._word.blockSignals(False)
         self._box.blockSignals(True)
-        self._box.setValue(value if isinstance(value, int | float) else self._absent)
+        given = value if isinstance(value, int | float) else None
+        self._make_room(given)
+        self._box.setValue(self._absent if given is None else given)
         self._box.blockSignals(False)
         self._follow()
+
+    def _make_room(self, value: float | None) -> None:
+        """Let the box hold a value unrounded: what is only shown must not change the study."""
+        low, high, decimals = self._low, self._high, self._decimals
+        if value is not None:
+            exponent = Decimal(repr(float(value))).normalize().as_tuple().exponent
+            low, high, decimals = min(low, value), max(high, value), max(decimals, -int(exponent))
+        self._box.setDecimals(decimals)
+        self._absent = low - 10.0**-decimals  # one step below all that is allowed: nothing yet
+        self._box.setRange(self._absent, high)
 
     def _follow(self) -> None:
         value = self.value()
@@ -104,6 +114,6 @@ class Number(QWidget):
     def _dragged(self, at: int) -> None:
         low, high = self._reach
         self._box.blockSignals(True)
-        self._box.setValue(low + (high - low) * at / _STEPS)
+        self._box.setValue(round(low + (high - low) * at / _STEPS, self._decimals))
         self._box.blockSignals(False)
         self.changed.emit()

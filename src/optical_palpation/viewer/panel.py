@@ -39,7 +39,7 @@ class Panel(QWidget):
         self.bench = bench = Workbench(napari_viewer, self)
         self.measurement = Measurement(bench)
         self.correction = Correction(bench)
-        self.solving = Solving(bench, self.measurement)
+        self.solving = Solving(bench, self.measurement, self.correction)
         self.regions = Regions(bench)
         inner = QWidget()
         column = QVBoxLayout(inner)
@@ -98,9 +98,6 @@ class Panel(QWidget):
             If something is still missing, or a file cannot be written.
         """
         self.solving.apply()
-        for side in ("unloaded", "loaded"):
-            if list(self.bench.layers("anchors", side)):
-                self.bench.session.corrections[side] = self.correction.drawn(side)
         self.bench.session.save(path)
         self._say(f"saved; to repeat it: optical-palpation run {path}")
 

@@ -138,6 +138,11 @@ class Session:
             self._with_corrections(self.tables, self._folder), self._file, in_memory=True
         )
 
+    @property
+    def found(self) -> dict[str, xr.Dataset]:
+        """The layer by the volumes in which it was found last."""
+        return {side: kept.found for side, kept in self._layers.items() if kept.found is not None}
+
     def find(self, side: str, progress: Tell | None = None) -> xr.Dataset:
         """Find the layer in a volume; after a correction, anew only what that changes.
 
@@ -179,6 +184,7 @@ class Session:
                 volume.close()
                 raise
             kept = self._layers[side] = _Kept(settings, state, volume, finder)
+        corrections = self.corrections.get(side)  # they may be changed meanwhile
         file = self._write_corrections(side, self._folder)
         kept.found = find_boundaries(
             kept.volume,
@@ -187,7 +193,7 @@ class Session:
             lambda s: tell(0.4 + 0.6 * s),
             finder=kept.finder,
         )
-        kept.corrections = self.corrections.get(side)
+        kept.corrections = corrections
         return kept.found
 
     def thickness(self, progress: Tell | None = None) -> xr.Dataset:

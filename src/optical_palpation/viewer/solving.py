@@ -34,8 +34,9 @@ from optical_palpation.present.summary import (
 from optical_palpation.present.terms import rounded, term
 from optical_palpation.study import warnings_about
 from optical_palpation.viewer.buttons import button_row
+from optical_palpation.viewer.correction import Correction
 from optical_palpation.viewer.layers import map_layers, region_layer
-from optical_palpation.viewer.measurement import Measurement
+from optical_palpation.viewer.measurement import Measurement, show_found
 from optical_palpation.viewer.numbers import Number
 from optical_palpation.viewer.workbench import Workbench
 
@@ -62,9 +63,9 @@ _WAIT = 150  # ms after which a change counts as made
 class Solving(QGroupBox):
     """What the study needs besides the layer, and solving it."""
 
-    def __init__(self, bench: Workbench, measurement: Measurement) -> None:
+    def __init__(self, bench: Workbench, measurement: Measurement, correction: Correction) -> None:
         super().__init__("Stress")
-        self._bench, self._measurement = bench, measurement
+        self._bench, self._measurement, self._correction = bench, measurement, correction
         form = QFormLayout(self)
         self.law = QComboBox()
         self.law.addItems(list(_LAWS))
@@ -125,9 +126,10 @@ class Solving(QGroupBox):
         Raises
         ------
         InputError
-            If an input has not been chosen.
+            If an input has not been chosen, or a correction lies outside of its volume.
         """
         self._measurement.apply()
+        self._correction.apply()
         law = self.law.currentText()
         changes: dict[str, Any] = {"material.law": law, "grid.edges": self.edges.currentText()}
         for name, number in self.numbers.items():
@@ -135,7 +137,7 @@ class Solving(QGroupBox):
             fits = table != "material" or key in _LAWS[law]
             changes[name] = number.value() if fits else None
         size = self._size
-        if size is not None and changes["grid.element_size"] == round(size[0], 4):
+        if size is not None and changes["grid.element_size"] == size[0]:
             changes["grid.element_size"] = size
         self._bench.session.change(changes)
 
@@ -179,6 +181,12 @@ class Solving(QGroupBox):
 
     def _show_result(self, result: StressResult) -> None:
         bench = self._bench
+        for side, found in bench.session.found.items():
+            known = side in bench.seen
+            if found is not bench.seen.get(side):  # with corrections that were drawn since
+                show_found(bench, side, found)
+            if not known:
+                bench.hide_found(side)
         first = bench.result is None
         bench.result = result
         bench.forget_difference()
@@ -224,6 +232,7 @@ class Solving(QGroupBox):
         self.live.setChecked(False)
         self.law.setCurrentText(material.get("law", "mooney-rivlin"))
         self.edges.setCurrentText(grid.get("edges", "free"))
+        self._size = None
         for name, number in self.numbers.items():
             table, _, key = name.partition(".")
             value = tables.get(table, {}).get(key)

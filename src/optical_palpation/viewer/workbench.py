@@ -28,6 +28,7 @@ _LETTER, _LEAST_LETTERS = 8, 12
 #: Of sRGB, and the luminance on which black and white are read alike (WCAG's contrast).
 _GAMMA, _LUMINANCE, _BRIGHT = 2.2, np.array([0.2126, 0.7152, 0.0722]), 0.18
 _IN_VOLUMES = ("volume", "boundary", "anchors")
+_FOUND = ("boundary", "anchors", "excluded")
 
 
 class Workbench(QObject):
@@ -48,6 +49,8 @@ class Workbench(QObject):
         self.session = Session()
         self.background = Background(self)
         self.result: StressResult | None = None
+        #: The layer as it is shown, by the volume it was found in.
+        self.seen: dict[str, xr.Dataset] = {}
 
     def attempt(self, action: Callable[[str], object], path: str) -> bool:
         """Do something with a file that was chosen, if one was; tell the user what is wrong.
@@ -70,7 +73,9 @@ class Workbench(QObject):
         self.background.cancel()
         self.session = session
         self.result = None
+        self.seen = {}
         for side in SIDES:
+            self.forget_found(side)
             given = session.input(side)
             if "volume" in given and self.volume_of(given["volume"]) is None:
                 self.show([volume_layer(session.open_volume(side), given["volume"])])
@@ -159,6 +164,19 @@ class Workbench(QObject):
         self.show(layers)
         self.raise_regions()
         self.view_maps([layers[-1].keywords["name"]])
+
+    def forget_found(self, side: str) -> None:
+        """Remove the boundaries of another volume, and what was drawn to correct them."""
+        self.seen.pop(side, None)
+        for kind in _FOUND:
+            for layer in list(self.layers(kind, side)):
+                self.viewer.layers.remove(layer)
+
+    def hide_found(self, side: str) -> None:
+        """Leave the boundaries of a volume to be looked at later."""
+        for kind in _FOUND:
+            for layer in self.layers(kind, side):
+                layer.visible = False
 
     def forget_difference(self) -> None:
         """Remove the comparison, which is one with a stress that is no longer shown."""

@@ -11,6 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from optical_palpation.analysis.maps import evenly
+
 #: Pixels along the longer side; of larger maps every second (third, ...) pixel is kept.
 LARGEST = 1024
 #: Characters of all maps of a page together.
@@ -35,7 +37,8 @@ def encode_map(field: xr.DataArray, digits: int = 4, largest: int = LARGEST) -> 
     largest
         Pixels along the longer side.
     """
-    field = _evenly(field.transpose("y", "x").sortby(["y", "x"]), largest)
+    thin = {axis: slice(None, None, stride(field.sizes[axis], largest)) for axis in ("y", "x")}
+    field = evenly(field.transpose("y", "x").sortby(["y", "x"]).isel(thin))
     whole = field.dtype.kind in "bui"
     values = field.values.astype(np.uint8) if whole else field.values
     return {
@@ -80,18 +83,6 @@ def encode_maps(fields: Mapping[str, tuple[xr.DataArray, int]]) -> dict[str, dic
             kept = LARGEST if k < 2 else largest
             encoded[name] = encode_map(field, max(digits - lost, 2), kept)
     return encoded
-
-
-def _evenly(field: xr.DataArray, largest: int) -> xr.DataArray:
-    """Every n-th pixel, and where they are not evenly spaced, the nearest to places that are."""
-    thin = {axis: slice(None, None, stride(field.sizes[axis], largest)) for axis in ("y", "x")}
-    field = field.isel(thin)
-    for axis in ("y", "x"):
-        at = field[axis].values
-        even = np.linspace(at[0], at[-1], at.size)
-        if at.size > 1 and np.max(np.abs(at - even)) > 1e-3 * abs(even[1] - even[0]):
-            field = field.sel({axis: even}, method="nearest").assign_coords({axis: even})
-    return field
 
 
 def _axis(at: NDArray[Any]) -> list[float]:
