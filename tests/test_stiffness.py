@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from optical_palpation.mechanics.stack.problem import INTERFACE, SAMPLE
 from optical_palpation.mechanics.stack.tangent import Tangent, stiffness_forces
 from optical_palpation.palpation import InputErrors, computational_stress
 from optical_palpation.present import read_result, summarise, write_result
-from optical_palpation.stiffness import Sample, sample_stress
+from optical_palpation.stiffness import Sample, inversion, sample_stress
 from optical_palpation.stiffness.forward import Columns, Model, Pressed, Sought, meshes_of
 from optical_palpation.stiffness.inversion import first
 from optical_palpation.stiffness.measurement import ThicknessSurface
@@ -752,3 +753,29 @@ def test_the_first_number_is_found_sooner_from_near_it(last):
         assert first(holds, last, guess) == true
         assert all(0 <= number < last for number in asked)
         assert len(asked) <= {0: 2, 1: 3}.get(abs(guess - true), 7)
+
+
+@pytest.mark.parametrize(("travels", "tried"), [(False, [0.0, 3.0, 1.5]), (True, [0.0, 3.0, 6.0])])
+def test_a_coarse_step_that_makes_the_misfit_worse_is_halved(monkeypatch, travels, tried):
+    """The linear model steps by 3 where 1 was wanted, whatever the row."""
+    here, rows = SimpleNamespace(thickness=np.ones((2, 2))), []
+
+    def pressed(model, before, step, row):
+        rows.append(float(row[0]))
+        stack = SimpleNamespace(n_elements=1)
+        state = SimpleNamespace(stack=stack, surface=np.zeros((3, 2, 2)), row=row)
+        return [state], row
+
+    monkeypatch.setattr(inversion, "carrying", lambda *_: None)
+    monkeypatch.setattr(inversion, "_TRAVELLING_STEPS", 3)
+    search = object.__new__(inversion._Search)
+    search.order, search.coarse = SimpleNamespace(travels=travels), SimpleNamespace(layer=here)
+    search.noise, search.solutions, search.forces = np.ones((1, 1, 1)), [], np.zeros(0)
+    search._pressed = pressed
+    search._misfit = lambda pressed: np.full((1, 2, 2), 10 * (pressed[0].row[0] - 1.0))
+    search._weight = lambda pressed, tolerance: 1.0 / tolerance
+    search._sensitivities = search._system = lambda *_: None
+    search._step = lambda system, row: (np.full(1, 3.0), 1.0, None)
+    end = search.on_coarse_mesh(np.zeros(1))
+    assert rows == tried
+    assert end == (0.0 if travels else 4.5)

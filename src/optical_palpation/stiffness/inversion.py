@@ -300,11 +300,16 @@ class _Search:
         self.thickness = float(np.median(fine.layer.thickness))
 
     def on_coarse_mesh(self, row: Array) -> Array:
-        """Steps on the coarse mesh, down to about the errors of that."""
+        """Steps on the coarse mesh, down to about the errors of that.
+
+        A step that leaves more than there was before is halved; but where travels are sought, steps
+        to and fro are the way to a total force.
+        """
+        travels = self.order.travels
         before = step = None
-        best = np.inf, row
+        best, better = (np.inf, row), False
         here = carrying(self.coarse.layer, self.coarse.layer)
-        for n in range(_TRAVELLING_STEPS if self.order.travels else _COARSE_STEPS):
+        for n in range(_TRAVELLING_STEPS if travels else _COARSE_STEPS):
             pressed, row = self._pressed(self.coarse, before, step, row)
             misfit = self._misfit(pressed)
             indentation = np.stack([self.coarse.layer.thickness - p.surface[2] for p in pressed])
@@ -316,14 +321,18 @@ class _Search:
             off = _rms(self._off(pressed))
             if n > 0 and max(left, off) <= 1.0:
                 return row
-            if np.hypot(left, off) < best[0]:
+            better = np.hypot(left, off) < best[0]
+            if better:
                 best = float(np.hypot(left, off)), row
-            sensitivities = self._sensitivities(pressed)
-            system = self._system(sensitivities, here, misfit, weight, pressed)
-            step, _, _ = self._step(system, row)
-            before, row = row, row + step
-        # A force that no travel makes goes with steps to and fro.
-        return best[1] if self.order.travels else row
+            if better or travels:
+                system = self._system(self._sensitivities(pressed), here, misfit, weight, pressed)
+                step, _, _ = self._step(system, row)
+                before = row
+            else:
+                assert before is not None  # the first one is always better
+                step = 0.5 * (row - before)
+            row = before + step
+        return row if better and not travels else best[1]
 
     def on_fine_mesh(self, row: Array) -> Estimate:
         """Steps for the misfit of the fine mesh, with the sensitivity of the coarse one.
