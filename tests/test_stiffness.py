@@ -22,6 +22,7 @@ from optical_palpation.mechanics.stack.tangent import Tangent, stiffness_forces
 from optical_palpation.palpation import InputErrors, computational_stress
 from optical_palpation.present import read_result, summarise, write_result
 from optical_palpation.stiffness import Sample, sample_stress
+from optical_palpation.stiffness.errors import propagated
 from optical_palpation.stiffness.forward import Columns, Model, Pressed, Sought, meshes_of
 from optical_palpation.stiffness.inversion import first, invert
 from optical_palpation.stiffness.measurement import ThicknessSurface
@@ -181,6 +182,22 @@ def test_the_coarse_mesh_tells_the_error_by_the_volume_of_its_elements(stopped):
     assert (fine.layer.shape[0], coarse.layer.shape[0]) == (3, 2)
     assert fine.layer.spacing[2] == pytest.approx(0.5 * coarse.layer.spacing[2])
     assert 1.5**2 - 1 < estimate.refinement < 2**2 - 1
+
+
+def test_bands_hold_what_a_search_leaves_unfinished(stopped):
+    """Another search, for a little other input, stops elsewhere within the tolerance."""
+    estimate, fine, coarse, surface = stopped
+    (before,), row = estimate.pressed, estimate.order.row(estimate.sought)
+    (after,) = fine.pressed(estimate.order.read(row + estimate.unfinished))
+    told = float(estimate.sensitivities[0].force @ estimate.unfinished)
+    assert after.force - before.force == pytest.approx(told, rel=0.5)
+    nothing = replace(estimate, unfinished=0 * estimate.unfinished)
+    bands, without = (
+        propagated(each, coarse, [surface], None, lambda *_: None) for each in (estimate, nothing)
+    )
+    both = bands.loads[0].force, np.hypot(without.loads[0].force, told)
+    assert both[0] == pytest.approx(both[1])
+    assert (bands.stiffness >= np.abs(estimate.unfinished).reshape(bands.stiffness.shape)).all()
 
 
 @pytest.mark.slow

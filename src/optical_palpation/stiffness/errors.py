@@ -165,6 +165,11 @@ def propagated(
     on_sought = np.diag(_centred(_centred(covariance, order).T, order)).copy()
     on_pressure = np.stack([np.sum((s @ covariance) * s, axis=1) for s in propagation.of_pressure])
     on_force = np.stack([s @ covariance @ s for s in propagation.of_force])
+    # The search stops within the tolerance of the misfit, not at its least.
+    unfinished = propagation.effect(estimate.unfinished)
+    on_sought += _centred(unfinished.sought, order) ** 2
+    on_pressure += unfinished.pressure**2
+    on_force += unfinished.force**2
     effect, of_mesh = _of_mesh(propagation, measured)
     on_sought += (_BAND * _centred(effect.sought, order)) ** 2
     on_force += (_BAND * effect.force) ** 2

@@ -145,6 +145,8 @@ class Estimate:
         forces, (sought, loads).
     covariance
         Of what is sought, by noise and mesh error, (sought, sought).
+    unfinished
+        The step that would come next, (sought,).
     sensitivities
         At each load, on the coarse mesh, by what is sought.
     refinement
@@ -164,6 +166,7 @@ class Estimate:
     gain: Array
     gain_by_force: Array
     covariance: Array
+    unfinished: Array
     sensitivities: list[Sensitivity]
     refinement: float
     alpha: float
@@ -376,7 +379,7 @@ class _Search:
         misfit = own + of_mesh
         weight = self._weight(pressed, tolerance)
         system = self._system(sensitivities, self.carry, misfit, weight, pressed)
-        _, alpha, factor = self._step(system, row)
+        unfinished, alpha, factor = self._step(system, row)
         covariance = _inverse(factor)
         return Estimate(
             sought=self.order.read(row),
@@ -388,6 +391,7 @@ class _Search:
             gain=system.gain(covariance),
             gain_by_force=covariance @ system.by_force.T * self._per_force(weight),
             covariance=covariance,
+            unfinished=unfinished,
             sensitivities=sensitivities,
             refinement=more ** (2 / 3) - 1,
             alpha=alpha,
