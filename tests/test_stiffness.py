@@ -23,10 +23,12 @@ from optical_palpation.mechanics.stack.tangent import Tangent, stiffness_forces
 from optical_palpation.palpation import InputErrors, computational_stress
 from optical_palpation.present import read_result, summarise, write_result
 from optical_palpation.stiffness import Sample, inversion, sample_stress
+from optical_palpation.stiffness.errors import propagated
 from optical_palpation.stiffness.forward import Columns, Model, Pressed, Sought, meshes_of
-from optical_palpation.stiffness.inversion import first
+from optical_palpation.stiffness.inversion import first, invert
 from optical_palpation.stiffness.measurement import ThicknessSurface
 from optical_palpation.stiffness.sample import check_sample
+from optical_palpation.stiffness.stress import _columns, _models
 from optical_palpation.thickness import clean_thickness, thickness_map
 
 FRICTION = {"window": 0.3, "sample": 0.1, "plate": 0.3}
@@ -154,6 +156,57 @@ def test_bands_contain_the_truth_and_widen_with_the_errors_of_the_inputs(columns
     exact = computed(columns).maps["axial_stress_error"].sel(inside)
     assert float(exact.mean()) < float(band.mean())
     assert maps.attrs["force_error_mN"] > 0
+
+
+def test_errors_of_the_mesh_do_not_cancel_in_the_band_of_the_force():
+    """What large elements do to the stiffness nearly hides what they do to the stress."""
+    truth = run_experiment(scene({"kind": "box", "factor": 3.0}, compression=0.2))
+    attrs = computed(truth, element_size=0.3).maps.attrs
+    off = attrs["window_force_mN"] - truth.maps.attrs["window_force_mN"]
+    assert abs(off) < attrs["force_error_mN"]
+
+
+@pytest.mark.slow
+def test_band_of_the_force_of_large_elements_at_large_compression():
+    of = scene(compression=0.525)
+    of = of.model_copy(update={"mesh": of.mesh.model_copy(update={"element_size": 0.1})})
+    truth = run_experiment(of)
+    attrs = computed(truth, element_size=0.3).maps.attrs
+    off = attrs["window_force_mN"] - truth.maps.attrs["window_force_mN"]
+    assert 0.1 * attrs["window_force_mN"] < abs(off) < attrs["force_error_mN"]
+
+
+@pytest.fixture(scope="module")
+def stopped():
+    """A search that stopped within the tolerance of the misfit, its coarse model and its map."""
+    truth = run_experiment(scene({"kind": "box", "factor": 0.6}))
+    blocks, surface = _blocks(truth.scene), ThicknessSurface.fitted(measured(truth), 0.25)
+    fine, coarse = _models(blocks, Mesh(0.25), _columns(blocks, 0.25), 0.5)
+    start = Sought(np.full(fine.columns.shape, -0.3), (0.3,))
+    return invert(fine, coarse, [surface], start), fine, coarse, surface
+
+
+def test_the_coarse_mesh_tells_the_error_by_the_volume_of_its_elements(stopped):
+    estimate, fine, coarse, _ = stopped
+    assert (fine.layer.shape[0], coarse.layer.shape[0]) == (3, 2)
+    assert fine.layer.spacing[2] == pytest.approx(0.5 * coarse.layer.spacing[2])
+    assert 1.5**2 - 1 < estimate.refinement < 2**2 - 1
+
+
+def test_bands_hold_what_a_search_leaves_unfinished(stopped):
+    """Another search, for a little other input, stops elsewhere within the tolerance."""
+    estimate, fine, coarse, surface = stopped
+    (before,), row = estimate.pressed, estimate.order.row(estimate.sought)
+    (after,) = fine.pressed(estimate.order.read(row + estimate.unfinished))
+    told = float(estimate.sensitivities[0].force @ estimate.unfinished)
+    assert after.force - before.force == pytest.approx(told, rel=0.5)
+    nothing = replace(estimate, unfinished=0 * estimate.unfinished)
+    bands, without = (
+        propagated(each, coarse, [surface], None, lambda *_: None) for each in (estimate, nothing)
+    )
+    both = bands.loads[0].force, np.hypot(without.loads[0].force, told)
+    assert both[0] == pytest.approx(both[1])
+    assert (bands.stiffness >= np.abs(estimate.unfinished).reshape(bands.stiffness.shape)).all()
 
 
 @pytest.mark.slow

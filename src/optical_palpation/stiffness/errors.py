@@ -165,9 +165,15 @@ def propagated(
     on_sought = np.diag(_centred(_centred(covariance, order).T, order)).copy()
     on_pressure = np.stack([np.sum((s @ covariance) * s, axis=1) for s in propagation.of_pressure])
     on_force = np.stack([s @ covariance @ s for s in propagation.of_force])
-    effect, of_mesh = _of_mesh(propagation, measured)
-    on_sought += (_BAND * _centred(effect.sought, order)) ** 2
-    on_force += (_BAND * effect.force) ** 2
+    # The search stops within the tolerance of the misfit, not at its least.
+    unfinished = propagation.effect(estimate.unfinished)
+    on_sought += _centred(unfinished.sought, order) ** 2
+    on_pressure += unfinished.pressure**2
+    on_force += unfinished.force**2
+    effects, of_mesh = _of_mesh(propagation, measured)
+    on_sought += (_BAND * _without_sign([_centred(each.sought, order) for each in effects])) ** 2
+    force_of_mesh = _without_sign([each.force for each in effects])
+    on_force += (_BAND * force_of_mesh) ** 2
 
     known: dict[str, dict[str, float | None]] = {}
     areas = rough[-1].stack.areas[INTERFACE]
@@ -209,7 +215,7 @@ def propagated(
                 positions=pressed.stack.position(pressed.state.u)[nodes][:, [1, 0]],
                 stress=np.sqrt(variance + of_mesh[n]).ravel(),
                 force=float(np.sqrt(on_force[n])),
-                force_of_mesh=float(abs(effect.force[n])),
+                force_of_mesh=float(force_of_mesh[n]),
                 travel=float(of_travels[n]) if order.travels else None,
             )
         )
@@ -229,32 +235,40 @@ def _centred(sought: Array, order: Order) -> Array:
     return out
 
 
+def _without_sign(parts: Sequence[Array]) -> Array:
+    """Sum of parts of an error whose signs are unknown: they must not cancel."""
+    return np.sum(np.abs(parts), axis=0)
+
+
 def _of_mesh(
     propagation: _Propagation, measured: Sequence[ThicknessSurface]
-) -> tuple[_Effect, list[Array]]:
-    """Effect of the error of the fine mesh, and squares of half-widths of the stress by it.
+) -> tuple[list[_Effect], list[Array]]:
+    """Effects of the error of the fine mesh, and squares of half-widths of the stress by it.
 
     The coarse mesh is further from the truth than the fine one: in stress, and in thickness, to
-    which the stiffness has answered. Half of that is taken off; this goes by the whole.
+    which the stiffness has answered. Half of the latter is taken off; this goes by the whole. As
+    what is left may have either sign, there is one effect of each.
     """
     estimate, rough = propagation.estimate, propagation.rough
-    thickness, pressure = [], []
+    thickness, pressure, force = [], [], []
     for pressed, own, m in zip(estimate.pressed, rough, measured, strict=True):
         thickness.append(pressed.misfit(m) - carried(own.misfit(m), own.layer, pressed.layer))
         pressure.append(pressed.pressure - carried(own.pressure, own.slaves, pressed.slaves))
-    answer = -estimate.gain @ np.ravel(thickness) / estimate.refinement
-    force = np.array([p.force for p in estimate.pressed]) - propagation.force
+        force.append((pressed.force - own.force) / estimate.refinement)
+    of_thickness = propagation.effect(-estimate.gain @ np.ravel(thickness) / estimate.refinement)
+    answer = np.zeros(estimate.order.size)
     if estimate.order.travels:
-        answer -= estimate.gain_by_force @ force / estimate.refinement
-    effect = propagation.effect(answer, 0.0, force / estimate.refinement)
+        answer -= estimate.gain_by_force @ force
+    of_stress = propagation.effect(answer, 0.0, np.array(force))
     squares = []
-    for pressed, own, change, by_answer in zip(
-        estimate.pressed, rough, pressure, effect.pressure, strict=True
-    ):
-        answered = carried(by_answer.reshape(own.pressure.shape), own.slaves, pressed.slaves)
-        whole = change / estimate.refinement + answered
+    for n, (pressed, own, change) in enumerate(zip(estimate.pressed, rough, pressure, strict=True)):
+        by_thickness, by_travel = (
+            carried(effect.pressure[n].reshape(own.pressure.shape), own.slaves, pressed.slaves)
+            for effect in (of_thickness, of_stress)
+        )
+        whole = _without_sign([change / estimate.refinement + by_travel, by_thickness])
         squares.append(_BAND**2 * gaussian_filter(whole**2, _NEAR, mode="nearest"))
-    return effect, squares
+    return [of_thickness, of_stress], squares
 
 
 def _at_stage(

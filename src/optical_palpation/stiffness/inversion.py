@@ -145,10 +145,12 @@ class Estimate:
         forces, (sought, loads).
     covariance
         Of what is sought, by noise and mesh error, (sought, sought).
+    unfinished
+        The step that would come next, (sought,).
     sensitivities
         At each load, on the coarse mesh, by what is sought.
     refinement
-        By this share of their difference the fine mesh is nearer to the truth than the coarse one.
+        The fine mesh is off by the difference of the two over this, as their volumes tell.
     alpha
         Regularisation.
     solutions
@@ -164,6 +166,7 @@ class Estimate:
     gain: Array
     gain_by_force: Array
     covariance: Array
+    unfinished: Array
     sensitivities: list[Sensitivity]
     refinement: float
     alpha: float
@@ -295,7 +298,9 @@ class _Search:
         self.expand = [coarse.derivatives(relief, travels, n) for n in range(len(measured))]
         #: Brings values at the layer's nodes from the coarse mesh to the fine one.
         self.carry = carrying(coarse.layer, fine.layer)
-        #: The fine mesh is off by the difference of the two over this.
+        #: The fine mesh is off by the difference of the two over this, if its elements are smaller
+        #: along all axes as they are laterally. Through the depth they may not be: the misfit is
+        #: then held to less than the error of the mesh.
         self.refinement = (coarse.layer.spacing[2] / fine.layer.spacing[2]) ** 2 - 1
         self.thickness = float(np.median(fine.layer.thickness))
 
@@ -378,11 +383,12 @@ class _Search:
                 break
             before, row = row, row + step
         assert best is not None
+        more = self.fine.levels[-1].n_elements / self.coarse.levels[-1].n_elements
         row, pressed, own = best
         misfit = own + of_mesh
         weight = self._weight(pressed, tolerance)
         system = self._system(sensitivities, self.carry, misfit, weight, pressed)
-        _, alpha, factor = self._step(system, row)
+        unfinished, alpha, factor = self._step(system, row)
         covariance = _inverse(factor)
         return Estimate(
             sought=self.order.read(row),
@@ -394,8 +400,9 @@ class _Search:
             gain=system.gain(covariance),
             gain_by_force=covariance @ system.by_force.T * self._per_force(weight),
             covariance=covariance,
+            unfinished=unfinished,
             sensitivities=sensitivities,
-            refinement=self.refinement,
+            refinement=more ** (2 / 3) - 1,
             alpha=alpha,
             solutions=self.solutions,
         )
