@@ -21,6 +21,7 @@ from .tracking import Edge, column_weights
 
 # Each round tries positions this far to either side, in profiles this long (widths of the step).
 SEARCHES = ((7.0, 13.0), (3.0, 10.0), (2.0, 9.0))
+FAR = 4.0  # widths above the step from which on its tail, 3e-5 of the bright side, is lost in noise
 NEAR = 6.0  # widths below the step over which the brightness of the sample counts
 # What is this much brighter than the layer is sample; how much brighter says nothing about where
 # it begins. Real samples often grow brighter below their surface.
@@ -258,7 +259,7 @@ def _step_shift(
     depth = np.arange(-half, half + 1) - trials[:, None]
     widths = sigma * 1.2 ** np.arange(10)[:, None, None]
     rises = ndtr(depth / widths) * np.exp(-_decay(mean) * np.maximum(depth, 0.0))
-    dark_ends = np.maximum(np.sum(depth < -2.0 * widths, axis=-1), 1)
+    dark_ends = np.maximum(np.sum(depth < -FAR * widths, axis=-1), max(half // 4, 1))
     bright_starts = np.minimum(np.sum(depth <= 2.0 * widths, axis=-1), 2 * half - 2)
     bright_ends = np.maximum(np.sum(depth <= NEAR * widths, axis=-1), bright_starts + 3)
     level = np.argmin(np.abs(np.log(blur[..., None] / widths.ravel())), axis=-1)
