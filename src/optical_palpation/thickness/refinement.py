@@ -3,7 +3,8 @@
 The intensity is flattened along the estimate, so that averaging laterally over a few resolution
 cells leaves the edge sharp. The boundary is then where the averaged profile is most likely: speckle
 being exponential, an average of it is gamma distributed, with the mean of a step that is blurred
-by the point-spread function. Estimate and average are repeated until the surface stays.
+by the point-spread function. A reflection along the step adds the point-spread function itself.
+Estimate and average are repeated until the surface stays.
 """
 
 import math
@@ -12,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy.ndimage import gaussian_filter, gaussian_filter1d, median_filter, uniform_filter
 from scipy.special import ndtr
 
 from optical_palpation.parallel import in_parallel
@@ -21,10 +22,17 @@ from .tracking import Edge, column_weights
 
 # Each round tries positions this far to either side, in profiles this long (widths of the step).
 SEARCHES = ((7.0, 13.0), (3.0, 10.0), (2.0, 9.0))
+FAR = 4.0  # widths above the step from which on its tail, 3e-5 of the bright side, is lost in noise
 NEAR = 6.0  # widths below the step over which the brightness of the sample counts
 # What is this much brighter than the layer is sample; how much brighter says nothing about where
 # it begins. Real samples often grow brighter below their surface.
 CEILING = 20.0
+# A reflection narrows the rise of the step that it lies on, and so would a finer resolution than
+# that measured: what one finer by this factor explains as well is no reflection.
+FINER = 0.9
+PATCH = 6.0  # lateral averages (standard deviations) over which a reflection is equally bright
+# Reflections tried, as bright as the sample is over so many axial resolutions (deviations).
+GLINTS: NDArray[np.float64] = np.array([0.0, *(0.25 * 1.25 ** np.arange(21))])
 OFFSET = 0.05  # of the bright side, added to the profile: keeps faint tails from steering
 PIXEL_VARIANCE = 1 / 12 + 1 / 12  # blur by the pixel itself and by interpolation between pixels
 
@@ -232,7 +240,7 @@ def refine(
         _flatten(band, depth - first, weight, profile, share)
         mean = averaged(profile, share, lateral)
         if edge == "rise":
-            shift, quality = _step_shift(mean, sigma, blur, reach * typical)
+            shift, quality = _step_shift(mean, sigma, blur, reach * typical, lateral)
             # Without data below there is nothing bright to tell a step by: not seen.
             below = share[..., half : half + round(NEAR * typical) + 1].min(axis=2)
             quality[below < 0.5 * share.max(axis=2)] = 0.0
@@ -246,22 +254,38 @@ def refine(
 
 
 def _step_shift(
-    mean: NDArray[np.float32], sigma: float, blur: NDArray[np.float64], reach: float
+    mean: NDArray[np.float32],
+    sigma: float,
+    blur: NDArray[np.float64],
+    reach: float,
+    lateral: tuple[float, float],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Shift of a step of width `blur` in averaged profiles, and its contrast.
 
-    Below the step the mean falls as the sample attenuates the light.
+    Below the step the mean falls as the sample attenuates the light. On it may lie a reflection.
     """
     half = mean.shape[2] // 2
     step = sigma / 3.0
     trials = step * np.arange(-round(reach / step), round(reach / step) + 1)
     depth = np.arange(-half, half + 1) - trials[:, None]
+    decay = _decay(mean)
     widths = sigma * 1.2 ** np.arange(10)[:, None, None]
-    rises = ndtr(depth / widths) * np.exp(-_decay(mean) * np.maximum(depth, 0.0))
-    dark_ends = np.maximum(np.sum(depth < -2.0 * widths, axis=-1), 1)
+    rises = ndtr(depth / widths) * np.exp(-decay * np.maximum(depth, 0.0))
+    dark_ends = np.maximum(np.sum(depth < -FAR * widths, axis=-1), max(half // 4, 1))
     bright_starts = np.minimum(np.sum(depth <= 2.0 * widths, axis=-1), 2 * half - 2)
     bright_ends = np.maximum(np.sum(depth <= NEAR * widths, axis=-1), bright_starts + 3)
     level = np.argmin(np.abs(np.log(blur[..., None] / widths.ravel())), axis=-1)
+    # One unit step after the other for every width, with every strength of a reflection.
+    strengths = sigma * GLINTS
+    glint = _glints(mean, blur, decay, lateral)
+    strength = np.rint(np.interp(glint, strengths, np.arange(len(strengths)))).astype(np.intp)
+    rises = (rises + strengths[:, None, None, None] * _spread(depth, widths)).reshape(
+        -1, *depth.shape
+    )
+    level += len(widths) * strength
+    dark_ends, bright_starts, bright_ends = (
+        np.tile(ends, (len(strengths), 1)) for ends in (dark_ends, bright_starts, bright_ends)
+    )
     shift, contrast = np.zeros((2, *level.shape))
     _fit_step(
         mean,
@@ -275,6 +299,66 @@ def _step_shift(
         contrast,
     )
     return shift, contrast
+
+
+def _spread(depth: NDArray, width: NDArray | float) -> NDArray[np.float64]:
+    """Point-spread function of a unit reflection."""
+    return np.exp(-0.5 * (depth / width) ** 2) / (np.sqrt(2.0 * np.pi) * width)
+
+
+def _glints(
+    mean: NDArray[np.float32],
+    blur: NDArray[np.float64],
+    decay: float,
+    lateral: tuple[float, float],
+) -> NDArray[np.float64]:
+    """Reflection along the step, as bright as so many pixels of what lies below it.
+
+    It is taken from the median profiles of patches of the map, in which it stands out of speckle
+    that hides it in the single ones, and from the flatter half of each, which steep slopes blur
+    less.
+    """
+    size = [min(max(round(PATCH * s), 1), n) for s, n in zip(lateral, blur.shape, strict=True)]
+    rows, columns = (
+        np.array_split(np.arange(n), max(n // s, 1)) for n, s in zip(blur.shape, size, strict=True)
+    )
+    found = np.empty((len(rows), len(columns)))
+    for i, y in enumerate(rows):
+        for j, x in enumerate(columns):
+            patch = np.ix_(y, x)
+            flat = blur[patch] <= np.median(blur[patch])
+            profile = np.median(mean[patch][flat], axis=0).astype(float)
+            found[i, j] = _glint(profile, FINER * float(np.median(blur[patch][flat])), decay)
+    found = median_filter(found, 3, mode="nearest")
+    for axis, parts in enumerate((rows, columns)):
+        found = np.repeat(found, [len(part) for part in parts], axis=axis)
+    return uniform_filter(found, size, mode="nearest")
+
+
+def _glint(profile: NDArray[np.float64], width: float, decay: float) -> float:
+    """Reflection on the step of a profile, by least squares of relative errors, as speckle has."""
+    half = len(profile) // 2
+    seen = np.arange(-half, half + 1) <= NEAR * width
+    trials = width * np.linspace(-2.0, 2.0, 49)[:, None]
+    depth = np.arange(-half, half + 1)[seen] - trials
+    step = ndtr(depth / width) * np.exp(-decay * np.maximum(depth, 0.0))
+    parts = np.stack([np.ones_like(depth), step, _spread(depth, width)], axis=-1)
+    parts /= np.maximum(profile[seen], 1e-3 * profile[seen].max() + 1e-30)[:, None]
+
+    def fitted(parts: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Shares of the parts whose sum is nearest to 1, and how much of it they explain."""
+        onto = parts.sum(axis=1)
+        products = parts.transpose(0, 2, 1) @ parts
+        products += 1e-12 * np.max(products) * np.eye(parts.shape[2])
+        shares = np.linalg.solve(products, onto[..., None])[..., 0]
+        return shares, np.sum(shares * onto, axis=1)
+
+    shares, explained = fitted(parts)
+    reflects = (shares[:, 1] > 0.0) & (shares[:, 2] > 0.0)
+    best = int(np.argmax(np.where(reflects, explained, fitted(parts[..., :2])[1])))
+    if not reflects[best] or best in (0, len(trials) - 1):  # at an end it is not on the step
+        return 0.0
+    return float(shares[best, 2] / shares[best, 1])
 
 
 def _blur(
