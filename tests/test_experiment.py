@@ -330,7 +330,7 @@ def test_shipped_scenes_are_whole():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("compression = ", "no TOML"),
+        ("compression = ", "no valid TOML"),
         ("compression = -1.0", "compression"),
         ("speed = 3", "speed"),
         ("[layer]\nsize = [1.0]", "layer.size"),
@@ -341,7 +341,7 @@ def test_shipped_scenes_are_whole():
         ("[mesh]\nelement_size = 0", "mesh.element_size"),
         ("compression = true", "compression"),
         ("compression = '0.1'", "compression"),
-        ("compression = " + "[" * 5000, "no TOML"),
+        ("compression = " + "[" * 5000, "no valid TOML"),
     ],
 )
 def test_bad_scene_files_are_named(tmp_path, text, message):
