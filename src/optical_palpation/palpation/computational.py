@@ -196,10 +196,11 @@ def computational_stress(
         raise InputError("the unloaded thickness has missing values: fill them first")
     motion = None if sample_motion is None else match_sample_motion(sample_motion, loaded)
     algebraic = algebraic_stress(loaded, initial, material, glued=glued["sample"])
-    slip_length = _slip_length(slip_length, typical_thickness(initial))
+    thickness = typical_thickness(initial)
+    slip_length = _slip_length(slip_length, thickness)
     if input_errors is not None:
-        input_errors.check_thickness(typical_thickness(initial))
-    sizes = element_sizes(element_size, loaded, typical_thickness(initial))
+        input_errors.check_thickness(thickness)
+    sizes = element_sizes(element_size, loaded, thickness)
     smoothing = 0.5 * float(np.sqrt(sizes[0] * sizes[1]))
     if imprint_smoothing is not None:
         smoothing = imprint_smoothing

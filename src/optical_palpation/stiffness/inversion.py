@@ -383,13 +383,13 @@ class _Search:
                 break
             before, row = row, row + step
         assert best is not None
-        more = self.fine.levels[-1].n_elements / self.coarse.levels[-1].n_elements
         row, pressed, own = best
         misfit = own + of_mesh
         weight = self._weight(pressed, tolerance)
         system = self._system(sensitivities, self.carry, misfit, weight, pressed)
         unfinished, alpha, factor = self._step(system, row)
         covariance = _inverse(factor)
+        more = self.fine.levels[-1].n_elements / self.coarse.levels[-1].n_elements
         return Estimate(
             sought=self.order.read(row),
             order=self.order,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -218,11 +219,10 @@ class Measurement(QGroupBox):
 
     def _edges(self) -> dict[str, str | float]:
         """How both sides of the layer show, as the fields say."""
-        window = self.window_edge.currentText()
-        try:
-            return {"window": float(window), "sample": self.sample_edge.currentText()}
-        except ValueError:
-            return {"window": window, "sample": self.sample_edge.currentText()}
+        window: str | float = self.window_edge.currentText()
+        with suppress(ValueError):  # a word
+            window = float(window)
+        return {"window": window, "sample": self.sample_edge.currentText()}
 
     def _given(self) -> dict[str, Any]:
         how: dict[str, Any] = {}
