@@ -91,6 +91,19 @@ def test_rows_that_are_nearly_folded_at_a_rim_catch_no_points(width):
     np.testing.assert_array_equal(outside, beyond)
 
 
+def test_points_under_a_rim_that_is_folded_over_belong_to_the_sheet_that_is_not_turned():
+    layer = grid()
+    widths = np.diff(layer.x)
+    widths[-1] *= -0.8  # the outermost row lies upside down on the one before it
+    x, y = np.meshgrid(np.append(0.0, np.cumsum(widths)), layer.y)
+    sought = targets(x[0, -1] + 1e-3, x[0, -2] - 1e-3, 0.5, 1.5).reshape(-1, 2)
+    found = surface._between_nodes((layer.y, layer.x), np.stack([y, x], axis=-1), sought)
+    assert_allclose(found, sought, atol=1e-12)  # but for the outermost row nothing has moved
+    assert np.isnan(
+        surface._between_nodes((layer.y, layer.x), np.stack([y, x], -1), sought + 1)
+    ).all()
+
+
 def reading(layer, retreat=0.0):
     """A map of points 0.1 mm apart on a layer whose rim has moved inwards, and their areas."""
     x, y = np.meshgrid(layer.x, layer.y)

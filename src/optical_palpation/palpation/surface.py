@@ -330,18 +330,39 @@ def material_points(
 def _between_nodes(axes: tuple[Array, Array], position: Array, target: Array) -> Array:
     """Reference points (n, 2) of a few points, linear between the deformed nodes around them.
 
-    ``position`` is (ny + 1, nx + 1, 2), y before x; NaN for points outside all.
+    Each element of the surface is two triangles. ``position`` is (ny + 1, nx + 1, 2), y before x;
+    NaN for points outside all. Where the surface lies on itself a triangle that is not turned over
+    counts, and of several the one that the point is deepest in.
     """
-    from scipy.interpolate import LinearNDInterpolator  # slow to load
-    from scipy.spatial import Delaunay, cKDTree
+    from scipy.spatial import cKDTree  # slow to load
 
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    position = position.reshape(-1, 2)
-    near = cKDTree(target).query(position)[0] < 4 * max(np.diff(axis).max() for axis in axes)
-    near[cKDTree(position).query(target, 8)[1]] = True
-    # joggled, because folded rows may lie on one another or on a line
-    around = Delaunay(position[near], qhull_options="QJ")
-    return LinearNDInterpolator(around, nodes[near])(target)
+    triangles = _triangles(position)
+    unloaded = _triangles(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1))
+    middle = triangles.mean(1)
+    reach = float(np.linalg.norm(triangles - middle[:, None], axis=-1).max())
+    found = np.full(target.shape, np.nan)
+    for point, around in enumerate(cKDTree(middle).query_ball_point(target, reach)):
+        near = np.asarray(around, np.intp)
+        origin, edges = triangles[near, 0], triangles[near, 1:] - triangles[near, :1]
+        area = np.linalg.det(edges)
+        flat = np.abs(area) < 1e-12 * np.linalg.norm(edges, axis=-1).prod(-1)
+        edges[flat] = np.eye(2)
+        along = np.linalg.solve(np.swapaxes(edges, 1, 2), (target[point] - origin)[..., None])
+        shares = np.concatenate([1.0 - along.sum(1), along[..., 0]], axis=-1)
+        depth = np.where(flat, -1.0, shares.min(-1))
+        within = depth > -1e-9
+        if within.any():
+            best = np.lexsort((depth, area > 0, within))[-1]
+            found[point] = shares[best] @ unloaded[near[best]]
+    return found
+
+
+def _triangles(nodes: Array) -> Array:
+    """Corners (m, 3, 2) of the triangles between nodes (ny + 1, nx + 1, 2), turned alike."""
+    low, high = nodes[:-1], nodes[1:]
+    lower = np.stack([low[:, :-1], high[:, :-1], low[:, 1:]], axis=2)
+    upper = np.stack([high[:, 1:], low[:, 1:], high[:, :-1]], axis=2)
+    return np.concatenate([lower.reshape(-1, 3, 2), upper.reshape(-1, 3, 2)])
 
 
 def _inverse_gradient(
