@@ -23,7 +23,7 @@ from .iteration import TOLERANCES, NotConverged, Tolerances, impatient, relaxed
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .neighbours import Neighbours
-from .newton import CARRIED, FINE, Balance, LinearSolver, LoadedLayer, Solvers, balance, equilibrate
+from .newton import CARRIED, Balance, LinearSolver, LoadedLayer, Solvers, balance, equilibrate
 from .path import NEARLY, Guide, LoadNotReached, Path, StepControl
 from .problem import LayerProblem, LayerState
 from .untangle import untangled
@@ -52,7 +52,7 @@ _FAR_BEFORE = 0.07
 #: Elements up to which the load of a layer that cannot be carried over is followed on that grid
 #: from the beginning. It takes seconds; on finer grids it is followed from the last load at which
 #: the layer can be, and one that can be but finds no equilibrium is sooner at rest against drag.
-_QUICK = FINE
+_QUICK = 30_000
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.

@@ -66,10 +66,10 @@ _CHORDS, _NEARER = 6, 0.5
 #: Share of the contact forces out of balance below which Newton's method is near its end, and the
 #: iterations of the linear solver that a step may then take.
 _CLOSE, _TO_THE_END = 1e-2, 200
-#: Farther from its end a step on a grid of more elements than the second number is taken as it is
-#: after so many iterations of the linear solver: where a rim folds, more of them cost more than
+#: Farther from its end a step of a layer with free sides is taken as it is after so many iterations
+#: of the linear solver: where a rim folds, more of them, or an exact solution, cost more than
 #: another step.
-_ROUGH, FINE = 8, 30_000
+_ROUGH = 8
 #: Work of an iteration of the linear solver on each node, in operations of the exact one, and the
 #: iterations that take as long as what the exact one does besides; most iterations after which a
 #: system is solved exactly, and the systems in a row that then are.
@@ -228,7 +228,7 @@ def _direction(
     """Return where fractions of a step lead that undoes an imbalance by a tangent."""
     state = now.state
     rhs = system.right_hand_side(problem, now)
-    rough = now.force_error > _CLOSE and problem.grid.n_elements > FINE
+    rough = now.force_error > _CLOSE and problem.edges == "free"
     limit = min(tolerances.krylov, _ROUGH) if rough else tolerances.krylov
     du, dp, krylov = solver.solve(rhs, tolerances.linear, limit)
     if not (np.isfinite(du).all() and np.isfinite(dp).all()):
