@@ -156,6 +156,7 @@ CURVES = ["--calibration", "CURVES"]
         (["profile.csv", "--depth-in-mm", *LAYER, *PRELOAD, "--coefficients", "a,b"], "'a,b'"),
         (["profile.csv", "--depth-in-mm", *LAYER, *PRELOAD, "--coefficients", "0.3"], "two"),
         (["profile.csv", "--depth-in-mm", *LAYER, "--loaded-thickness", 0.6, *PRELOAD[2:]], "0.6"),
+        (["profile.csv", *LAYER, *PRELOAD, "--law", "ogden"], "'ogden' is not one of"),
         (["profile.csv", *CURVES, "--plot", "mu.txt"], "mu.txt"),
         (["profile.csv", *CURVES, "--output", "profile.csv"], "profile.csv"),
     ],

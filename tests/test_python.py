@@ -396,6 +396,8 @@ def uncertainty(**changes):
         (lambda r: op.algebraic_result(loaded(), 0.5, op.MooneyRivlin(2), glued=0), "glued: True"),
         (lambda r: op.algebraic_result(loaded(), loaded("um"), op.MooneyRivlin(2)),
          "initial thickness: map is in um"),
+        (lambda r: op.Sample(1.0, 0.2, 0.1, sze=(3, 3)), "Sample: .*'sze'; did you mean size"),
+        (lambda r: op.MooneyRivlin(c1=2.0), "MooneyRivlin: .* did you mean c10"),
         (lambda r: op.Sample(1.0, 0.2, 0.1, law=(1, 2)), "sample: law: a law such as"),
         (lambda r: op.Sample(1.0, 0.2, 0.1, size=3), "sample: size: two positive numbers"),
         (lambda r: r.profile("x", width="wide"), "width: a number of mm"),

@@ -181,3 +181,9 @@ def explained(function: Callable[P, R]) -> Callable[P, R]:
         return function(*args, **kwargs)
 
     return call
+
+
+def explained_fields(kind: type[R]) -> type[R]:
+    """Make a dataclass whose arguments do not fit say how it is made (:func:`explained`)."""
+    kind.__init__ = explained(kind.__init__)  # type: ignore[misc, method-assign]
+    return kind

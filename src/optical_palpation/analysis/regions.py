@@ -20,7 +20,14 @@ from optical_palpation.analysis.maps import (
     plane_noise,
     point_areas,
 )
-from optical_palpation.arguments import check_instance, explained, in_words, number, numbers
+from optical_palpation.arguments import (
+    check_instance,
+    explained,
+    explained_fields,
+    in_words,
+    number,
+    numbers,
+)
 from optical_palpation.errors import InputError
 
 #: Points along each side of a pixel by which the share of it that lies in an outline is counted, at
@@ -40,6 +47,7 @@ _FORCES = {
 }
 
 
+@explained_fields
 @dataclass(frozen=True, eq=False)
 class Region:
     """A named part of the field of view.

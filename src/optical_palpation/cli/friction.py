@@ -15,7 +15,7 @@ from optical_palpation.cli.law import (
     C20_HELP,
     C30_HELP,
     LAW_HELP,
-    LawChoice,
+    ComputedLaw,
 )
 from optical_palpation.cli.options import Quiet, Threads, each_on, print_files
 
@@ -80,8 +80,8 @@ def friction(
         ),
     ] = None,
     law: Annotated[
-        LawChoice, typer.Option(help=LAW_HELP, rich_help_panel=_LAYER)
-    ] = LawChoice.MOONEY_RIVLIN,
+        ComputedLaw, typer.Option(help=LAW_HELP, rich_help_panel=_LAYER)
+    ] = ComputedLaw.MOONEY_RIVLIN,
     c10: Annotated[
         float | None, typer.Option(metavar="NUMBER", help=C10_HELP, rich_help_panel=_LAYER)
     ] = None,

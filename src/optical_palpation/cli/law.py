@@ -14,6 +14,14 @@ class LawChoice(StrEnum):
     OGDEN = "ogden"
 
 
+class ComputedLaw(StrEnum):
+    """A hyperelastic law that the computational method takes."""
+
+    MOONEY_RIVLIN = "mooney-rivlin"
+    NEO_HOOKEAN = "neo-hookean"
+    YEOH = "yeoh"
+
+
 LAW_HELP = "Law of the layer."
 C10_HELP = "C10, kPa, of mooney-rivlin, neo-hookean or yeoh."
 C01_HELP = "C01, kPa, of mooney-rivlin; 0 if not given."

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from optical_palpation.arguments import explained_fields
 from optical_palpation.material.law import Array, InvariantLaw
 
 
+@explained_fields
 @dataclass(frozen=True)
 class MooneyRivlin(InvariantLaw):
     """Mooney-Rivlin law W = c10 (I1bar - 3) + c01 (I2bar - 3), that of the paper (section 3).

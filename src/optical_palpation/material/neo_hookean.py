@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from optical_palpation.arguments import explained_fields
 from optical_palpation.material.law import Array, InvariantLaw
 
 
+@explained_fields
 @dataclass(frozen=True)
 class NeoHookean(InvariantLaw):
     """Neo-Hookean law W = c10 (I1bar - 3); the shear modulus is 2 c10.

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from optical_palpation.arguments import explained_fields
 from optical_palpation.errors import MaterialError
 from optical_palpation.material.law import Array, Law
 
 
+@explained_fields
 @dataclass(frozen=True)
 class Ogden(Law):
     """Ogden law W = 2 mu / alpha^2 (l1^alpha + l2^alpha + l3^alpha - 3) of the stretches l.

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from optical_palpation.arguments import choice, file_path, number
+from optical_palpation.arguments import choice, explained_fields, file_path, number
 from optical_palpation.errors import InputError
 from optical_palpation.volume.text import Columns, read_columns
 
@@ -51,6 +51,7 @@ _SOFTEST, _STIFFEST, _HARDEST = 0.1, 5e3, 2e4
 _SMALLEST_STRAIN = 0.01
 
 
+@explained_fields
 @dataclass(frozen=True)
 class UniaxialTest:
     """One uniaxial test, sorted as recorded, signs as everywhere: tension positive.

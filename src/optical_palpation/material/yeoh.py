@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from optical_palpation.arguments import explained_fields
 from optical_palpation.material.law import Array, InvariantLaw
 
 
+@explained_fields
 @dataclass(frozen=True)
 class Yeoh(InvariantLaw):
     """Yeoh law W = c10 x + c20 x^2 + c30 x^3 with x = I1bar - 3 (Rubber Chem. Technol. 66:754).

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 import xarray as xr
 
+from optical_palpation.arguments import explained_fields
 from optical_palpation.errors import InputError
 
 #: Largest coefficient of friction that an interface has.
@@ -17,6 +18,7 @@ _FRICTION = 2.0
 OF_SAMPLE = ("plate_friction", "compression", "sample_thickness", "total_force")
 
 
+@explained_fields
 @dataclass(frozen=True)
 class InputErrors:
     """Half-widths of the 95 % intervals of the inputs.

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
-from optical_palpation.arguments import check_instance, numbers
+from optical_palpation.arguments import check_instance, explained_fields, numbers
 from optical_palpation.errors import InputError
 from optical_palpation.material import Law
 from optical_palpation.palpation.input_errors import INPUT_ERRORS
@@ -39,6 +39,7 @@ _MEANING = {
 }
 
 
+@explained_fields
 @dataclass(frozen=True)
 class Sample:
     """What is known of a deformable sample.
