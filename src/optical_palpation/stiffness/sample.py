@@ -169,18 +169,28 @@ def check_sample(
         raise InputError("the sample does not touch the layer: it is nowhere thinner than unloaded")
     if sample.forces is not None:
         _check_force(sample.forces[-1], loads[-1], initial, layer)
+    if sample.travels is None and sample.relief_is_sought:
+        raise InputError(
+            "sample: total forces alone do not tell relief from stiffness: give the "
+            'compression of each load, or the relief ("flat" if it is)'
+        )
     if sample.travels is None:
-        if sample.relief_is_sought:
-            raise InputError(
-                "sample: total forces alone do not tell relief from stiffness: give the "
-                'compression of each load, or the relief ("flat" if it is)'
-            )
         _check_order(sample.forces or (), "mN", loads)
-        _check_different(loads)
-        return
-    _check_order(sample.travels, "mm", loads)
+    else:
+        _check_order(sample.travels, "mm", loads)
+        _check_travels(sample, sample.travels, loads, initial)
+    _check_different(loads)
+
+
+def _check_travels(
+    sample: Sample,
+    travels: Sequence[float],
+    loads: Sequence[xr.DataArray],
+    initial: xr.DataArray,
+) -> None:
+    """Refuse travels of the plate that layer and sample cannot have taken."""
     together = typical_thickness(initial) + sample.thickness
-    for n, (travel, measured) in enumerate(zip(sample.travels, loads, strict=True), start=1):
+    for n, (travel, measured) in enumerate(zip(travels, loads, strict=True), start=1):
         here = "" if len(loads) == 1 else f" of load {n}"
         if travel >= together:
             raise InputError(
@@ -202,7 +212,6 @@ def check_sample(
                 f"{typical:.3g} mm, and the rest is more than {_MOST_COMPRESSED:.0%} of the "
                 f"sample's thickness, {sample.thickness:g} mm"
             )
-    _check_different(loads)
 
 
 def _check_numbers(sample: Sample, loads: int) -> None:
