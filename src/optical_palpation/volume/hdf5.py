@@ -13,7 +13,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -51,9 +51,11 @@ def contents(path: Path, wanted: str | None) -> Contents:
     file = open_file(path)
     try:
         found, texts, unread = {}, unit_texts(_attributes(file), ""), []
+        # of a group once: it may hold thousands of others
+        attributes_of = cache(lambda group: _attributes(file[group]))
         for name, item in datasets(path, file):
             group = name.rpartition("/")[0]
-            texts |= unit_texts_above(name, lambda above: _attributes(file[above]))
+            texts |= unit_texts_above(name, attributes_of)
             by_octave = group != "" and "OCTAVE_NEW_FORMAT" in file[group].attrs
             if by_octave and name == f"{group}/value":
                 name = group
