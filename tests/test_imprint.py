@@ -6,6 +6,7 @@ import xarray as xr
 from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 
+from optical_palpation.averages import gaussian_average
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.palpation.meshing import imprint_of
 
@@ -28,6 +29,13 @@ def test_wide_averages_are_those_of_narrow_ones(sigma):
     assert_allclose(smooth.loaded, expected, rtol=1e-13)
     assert_allclose(smooth.motion[1], gaussian_filter(motion[1], widths, mode="nearest"))
     assert np.all(smooth.unloaded == 0.5)
+
+
+def test_beyond_the_border_there_may_be_nothing():
+    loaded = relief(*np.meshgrid(*PIXELS))
+    widths = 3.0, 40.0  # wider than a third of the map
+    expected = gaussian_filter(loaded, widths, mode="constant")
+    assert_allclose(gaussian_average(loaded, widths, "constant"), expected, rtol=1e-13)
 
 
 def test_two_pixels_next_to_each_other_do_not_make_millions():

@@ -8,8 +8,9 @@ from functools import cached_property
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d, map_coordinates, spline_filter
+from scipy.ndimage import map_coordinates, spline_filter
 
+from optical_palpation.averages import gaussian_average
 from optical_palpation.parallel import in_parallel
 
 Array = NDArray[np.float64]
@@ -17,8 +18,6 @@ Array = NDArray[np.float64]
 #: Steps in which a point of the moving surface is tracked to full load; each reduces the error by
 #: about the strain of the surface.
 _TRACKING = 4
-#: Standard deviation of a Gaussian, in pixels, from which Fourier transforms are faster than sums.
-_WIDE = 16.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +71,7 @@ class Imprint:
         def smooth(field: Array) -> Array:
             if np.ptp(field) == 0:  # a layer of one thickness
                 return field
-            for axis, width in zip((-2, -1), widths, strict=True):
-                field = _averaged(field, width, axis)
-            return field
+            return gaussian_average(field, widths, "nearest")
 
         motion = None if self.motion is None else smooth(self.motion)
         return Imprint(self.x, self.y, smooth(self.unloaded), smooth(self.loaded), motion)
@@ -102,26 +99,6 @@ class Imprint:
         )
         out /= np.array([1, dx, dy, dx * dx, dx * dy, dy * dy])[:, None]
         return out.reshape(6, *x.shape)
-
-
-def _averaged(field: Array, sigma: float, axis: int) -> Array:
-    """Gaussian average along an axis, ``sigma`` in pixels; beyond the ends it goes on level."""
-    if sigma < _WIDE:
-        return gaussian_filter1d(field, sigma, axis, mode="nearest")
-    from scipy.signal import fftconvolve  # slow to load
-
-    # A sum over all pixels of a wide average for each pixel takes longer than everything else.
-    reach = int(4 * sigma + 0.5)
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    along = [1] * field.ndim
-    along[axis] = -1
-    beyond = [(reach, reach) if size < 0 else (0, 0) for size in along]
-    return fftconvolve(
-        np.pad(field, beyond, mode="edge"),
-        (weights / weights.sum()).reshape(along),
-        mode="valid",
-        axes=axis,
-    )
 
 
 @nb.njit
