@@ -469,6 +469,7 @@ def test_input_that_cannot_be_used(given, said):
         (np.full((64, 4, 32), np.nan), "finite data"),
         (np.zeros((64, 4, 32)), "holds no data|finite data"),
         (np.random.default_rng(1).standard_normal((64, 4, 32)), "are negative"),
+        (np.ones((64, 32, 1)), "too small for a layer"),
     ],
 )
 def test_volume_without_data_is_refused(samples, said):

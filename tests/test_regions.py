@@ -10,6 +10,7 @@ import tifffile
 import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
+from skimage.measure import points_in_poly
 
 from optical_palpation.analysis import (
     Region,
@@ -19,6 +20,7 @@ from optical_palpation.analysis import (
     region_statistics,
     write_regions,
 )
+from optical_palpation.analysis.tracing import traced
 from optical_palpation.errors import InputError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import algebraic_result
@@ -181,6 +183,25 @@ def test_a_hole_is_no_part_of_a_region():
     assert float(found["area"][0]) == pytest.approx(6.0 - 1.0, abs=0.05)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pixel_belongs_to_an_outline_by_the_points_that_lie_in_it(seed):
+    """Outlines that cross themselves and each other, against a test of every point."""
+    rng = np.random.default_rng(seed)
+    field = maps_of(lambda x, y: -x)["axial_stress"]
+    outlines = tuple(rng.uniform((1.0, -0.5), (5.0, 2.5), (n, 2)) for n in (5, 30))
+    count = 8  # points along each side of a pixel of a region as large as the map
+    offsets = (np.arange(count) + 0.5) / count - 0.5
+    fine_y, fine_x = (
+        (axis[:, None] + offsets * (axis[1] - axis[0])).ravel() for axis in (field.y.values, X)
+    )
+    points = np.stack(np.meshgrid(fine_x, fine_y), -1).reshape(-1, 2)
+    inside = np.logical_xor(*(points_in_poly(points, outline) for outline in outlines))
+    inside = inside.reshape(Y.size, count, X.size, count).mean(axis=(1, 3))
+    held = Region("two", outlines).weights(field).values
+    # pixels at the border of the map are cut by it
+    np.testing.assert_array_equal(held[1:-1, 1:-1], inside[1:-1, 1:-1])
+
+
 def test_regions_that_cannot_be_used():
     maps = maps_of(lambda x, y: -x)
     region = Region.rectangle("a", 2, 3, 0, 1)
@@ -337,6 +358,23 @@ def test_labels_are_regions(tmp_path, ending):
     assert list(found["region"].values) == ["label 1", "label 7"]
     assert float(found["area"][1]) == pytest.approx(100 * 0.005)
     assert float(found["mean"][0]) == pytest.approx(-X[3:7].mean())
+
+
+def test_each_label_is_a_region_of_its_own_part_of_the_map(tmp_path):
+    """Of one pixel, in a corner, and of several parts; none keeps the whole map."""
+    maps = maps_of(lambda x, y: -x)
+    labels = np.zeros((Y.size, X.size), np.uint16)
+    labels[0, 0], labels[5, 7], labels[10:20, 3:9], labels[12, 4:6], labels[30, 3] = 9, 4, 2, 0, 2
+    np.save(tmp_path / "labels.npy", labels)
+    regions = read_regions(tmp_path / "labels.npy", maps)
+    assert [region.name for region in regions] == ["label 2", "label 4", "label 9"]
+    for number, region in zip((2, 4, 9), regions, strict=True):
+        np.testing.assert_array_equal(region.weights(maps["axial_stress"]), labels == number)
+        assert region.mask.size <= 23 * 8
+        whole = Region.of_mask("whole", maps["axial_stress"].copy(data=labels == number))
+        assert region.beyond(maps["axial_stress"]) == whole.beyond(maps["axial_stress"])
+        for one, other in zip(traced(region).outlines, traced(whole).outlines, strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-12)
 
 
 def test_a_table_of_outlines(tmp_path):

@@ -218,7 +218,8 @@ def _shift(reference: xr.Dataset, maps: xr.Dataset, first: str, name: str) -> tu
             axis: np.arange(moving[axis].values[0], moving[axis].values[-1] + 1e-6 * step, step)
             for axis, step in zip("yx", steps, strict=True)
         }
-        moving = moving.interp(places)
+        # of one that is much larger no more than is compared
+        moving = moving.interp({axis: at[: fixed.sizes[axis]] for axis, at in places.items()})
     n = [min(fixed.sizes[axis], moving.sizes[axis]) for axis in ("y", "x")]
     parts = [field.isel(y=slice(n[0]), x=slice(n[1])) for field in (fixed, moving)]
     return lateral_shift(*parts)

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import distance_transform_edt
 
 from optical_palpation.analysis.maps import check_map, pixel_size, plane_noise
+from optical_palpation.averages import gaussian_average
 from optical_palpation.errors import InputError
 
 
@@ -135,7 +136,7 @@ def perturbation_correlation(
         raise InputError(f"scale = {scale:g} mm: must be larger than a pixel ({dy:g} x {dx:g} mm)")
     valid = np.isfinite(a.values) & np.isfinite(b.values)
     sigma = (scale / dy, scale / dx)
-    weight = gaussian_filter(valid.astype(np.float64), sigma, mode="constant")
+    weight = gaussian_average(valid.astype(np.float64), sigma, "constant")
     # Two standard deviations from a straight border: nearer, the average is one-sided and takes
     # slopes for perturbations.
     inner = valid & (weight > 0.977)
@@ -165,7 +166,7 @@ def _perturbation(
     sigma: tuple[float, float],
 ) -> NDArray[np.float64]:
     """Deviation from the Gaussian average of the valid pixels, zero elsewhere."""
-    average = gaussian_filter(np.where(valid, field, 0.0), sigma, mode="constant")
+    average = gaussian_average(np.where(valid, field, 0.0), sigma, "constant")
     return np.where(valid, field - average / np.maximum(weight, 1e-12), 0.0)
 
 

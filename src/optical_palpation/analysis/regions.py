@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -241,19 +241,28 @@ class Region:
             areas = np.where(at_border, 0.5, 1.0).prod(axis=1)
             return float(np.average(outside(points), weights=areas))
         at = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-        axes = (a + at * (b - a) for a, b in zip(points.min(0), points.max(0), strict=True))
-        points = np.stack(np.meshgrid(*axes), -1).reshape(-1, 2)
-        points = points[self._holds(points)]
+        x, y = (a + at * (b - a) for a, b in zip(points.min(0), points.max(0), strict=True))
+        points = np.stack(np.meshgrid(x, y), -1)[self._holds(y, x)]
         return float(outside(points).mean()) if len(points) else 0.0
 
-    def _holds(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which points lie within its outlines."""
-        from skimage.measure import points_in_poly
+    def _holds(self, y: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which points of a grid, ascending, lie within its outlines, (y, x).
 
-        inside = np.zeros(len(points), bool)
+        Along each row the sides of the outlines are crossed, and every crossing leads in or out.
+        The rows of all sides together are few; a test of each point against each side takes long
+        for outlines that were drawn by hand or traced.
+        """
+        crossed = np.zeros((y.size, x.size + 1), np.bool_)
         for outline in self.outlines:
-            inside ^= points_in_poly(points, outline)
-        return inside
+            start, end = outline, np.roll(outline, -1, axis=0)
+            low, high = np.sort(np.searchsorted(y, [start[:, 1], end[:, 1]]), axis=0)
+            count = high - low
+            side = np.repeat(np.arange(len(outline)), count)
+            row = np.arange(side.size) - np.repeat(np.cumsum(count) - count - low, count)
+            (x0, y0), (x1, y1) = start[side].T, end[side].T
+            at = np.searchsorted(x, x0 + (x1 - x0) * (y[row] - y0) / (y1 - y0))
+            np.logical_xor.at(crossed, (row, at), True)
+        return np.logical_xor.accumulate(crossed, axis=1)[:, :-1]
 
     def _shares(
         self, y: NDArray[np.float64], x: NDArray[np.float64], size: tuple[float, float]
@@ -271,12 +280,11 @@ class Region:
         within = (np.arange(count) + 0.5) / count - 0.5
         fine_y = (y[rows, None] + within * size[0]).ravel()
         fine_x = (x[columns, None] + within * size[1]).ravel()
-        grid = np.stack(np.meshgrid(fine_x, fine_y), -1).reshape(-1, 2)
-        first, last = (x[0], y[0]), (x[-1], y[-1])
-        there = ((grid > first) & (grid < last)).all(axis=1)
-        blocks = (rows.size, count, columns.size, count)
-        held = (self._holds(grid) & there).reshape(blocks).sum(axis=(1, 3))
-        shares[np.ix_(rows, columns)] = held / there.reshape(blocks).sum(axis=(1, 3))
+        there_y, there_x = (fine_y > y[0]) & (fine_y < y[-1]), (fine_x > x[0]) & (fine_x < x[-1])
+        held = self._holds(fine_y, fine_x) & there_y[:, None] & there_x
+        held = held.reshape(rows.size, count, columns.size, count).sum(axis=(1, 3))
+        there = (there.reshape(-1, count).sum(axis=1) for there in (there_y, there_x))
+        shares[np.ix_(rows, columns)] = held / np.outer(*there)
         return shares
 
 
@@ -344,11 +352,13 @@ def region_statistics(
         raise InputError(f"regions: names must differ, found {', '.join(names)}")
     field = check_map(maps[variable], variable)
     areas = point_areas(field).values
-    weights = {region.name: region.weights(field).values for region in regions}
     error = _error(maps, variable)
     rows = []
-    for region, (name, weight) in zip(regions, weights.items(), strict=True):
-        row = _statistics(name, field.values, weight, areas, error, _FORCES.get(variable))
+    rest = np.ones(field.shape, np.bool_)
+    for region in regions:
+        weight = region.weights(field).values
+        rest &= weight == 0.0
+        row = _statistics(region.name, field.values, weight, areas, error, _FORCES.get(variable))
         beyond = region.beyond(field)
         row["area"] /= 1.0 - beyond
         row["missing"] = 1.0 - (1.0 - beyond) * (1.0 - row["missing"])
@@ -364,7 +374,7 @@ def region_statistics(
         {"variable": variable, "long_name": str(field.attrs.get("long_name", variable))},
     )
     if background is not None:
-        level = _background(field, weights, background)
+        level = _background(field, rest, background)
         if level is not None:
             mean, noise = level
             difference = result["mean"] - mean
@@ -444,13 +454,10 @@ def _error(maps: xr.Dataset, variable: str) -> NDArray[np.float64] | None:
 
 
 def _background(
-    field: xr.DataArray, weights: Mapping[str, NDArray[Any]], background: Region | str
+    field: xr.DataArray, rest: NDArray[np.bool_], background: Region | str
 ) -> tuple[float, float] | None:
     """Mean and noise of the background, or None where too few pixels are left."""
-    if isinstance(background, Region):
-        mask = background.weights(field).values >= 0.5
-    else:
-        mask = np.all([weight == 0.0 for weight in weights.values()], axis=0)
+    mask = background.weights(field).values >= 0.5 if isinstance(background, Region) else rest
     mask = mask & np.isfinite(field.values)
     if mask.sum() < 6:
         if isinstance(background, Region):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import zipfile
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.ndimage import find_objects
 
 from optical_palpation.analysis.maps import check_map, pixel_size
 from optical_palpation.analysis.regions import Region
@@ -165,15 +167,10 @@ def _table(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
         raise InputError(f"{path}, line {line}: has no name; every vertex names its outline")
     vertices = np.column_stack([table.numbers("x_mm"), table.numbers("y_mm")])
     outlines = table.numbers("outline") if "outline" in table.names else np.zeros(len(names))
-    regions = []
-    for name in dict.fromkeys(names):
-        own = np.array([other == name for other in names])
-        parts = [
-            Region.polygon(name, vertices[own & (outlines == number)]).outlines[0]
-            for number in dict.fromkeys(outlines[own])
-        ]
-        regions.append(Region(name, tuple(parts)))
-    return regions
+    parts: dict[str, list[NDArray[np.float64]]] = {}
+    for (name, _), own in pd.DataFrame(vertices).groupby([names, outlines], sort=False):
+        parts.setdefault(name, []).append(Region.polygon(name, own.to_numpy()).outlines[0])
+    return [Region(name, tuple(own)) for name, own in parts.items()]
 
 
 def _shapes(path: Path, table: Columns, field: xr.DataArray) -> list[Region]:
@@ -221,7 +218,8 @@ def _labels(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
             f"{field.shape[0]} x {field.shape[1]}; found {labels.dtype}, "
             f"{' x '.join(map(str, labels.shape))}"
         )
-    found = [number for number in np.unique(labels) if number > 0]
+    values, ranks = np.unique(labels, return_inverse=True)
+    found = [number for number in values if number > 0]
     if len(found) > _MOST_REGIONS:
         raise InputError(f"{path}: {len(found)} different numbers are no labels of regions")
     if labels.dtype == np.uint8 and 255 in found and len(found) > _MOST_GREYS:
@@ -229,14 +227,14 @@ def _labels(path: Path, content: bytes, field: xr.DataArray) -> list[Region]:
             f"{path}: {len(found)} greys up to 255 are no labels: a mask was smoothed, or "
             "compressed with losses; save it with two values"
         )
-    here = {"y": field["y"], "x": field["x"]}
+    mask = xr.DataArray(labels, {"y": field["y"], "x": field["x"]}, ("y", "x"))
     one = path.stem if len(found) == 1 else None
-    return [
-        Region.of_mask(
-            one or f"label {number}", xr.DataArray(labels == number, here, dims=("y", "x"))
-        )
-        for number in found
-    ]
+    regions = []
+    for number, place in zip(values, find_objects(1 + ranks.reshape(labels.shape)), strict=True):
+        if number > 0:  # its own part of the map: thousands of whole ones would fill the memory
+            part = mask[tuple(slice(max(at.start - 1, 0), at.stop + 1) for at in place)]
+            regions.append(Region.of_mask(one or f"label {number}", part == number))
+    return regions
 
 
 def _array(path: Path) -> NDArray[Any]:
@@ -262,11 +260,11 @@ def _picture(path: Path, content: bytes) -> NDArray[Any]:
 def _numbered(regions: Sequence[Region]) -> list[Region]:
     """Give regions of the same name a number."""
     names = [region.name for region in regions]
-    counts: dict[str, int] = {}
+    often, counts = Counter(names), dict[str, int]()
     result = []
     for region in regions:
         name = region.name
-        if names.count(name) > 1:
+        if often[name] > 1:
             counts[name] = counts.get(name, 0) + 1
             name = f"{name} {counts[name]}"
         result.append(Region(name, region.outlines, region.mask))

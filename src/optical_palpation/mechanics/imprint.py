@@ -8,8 +8,9 @@ from functools import cached_property
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
+from scipy.ndimage import map_coordinates, spline_filter
 
+from optical_palpation.averages import gaussian_average
 from optical_palpation.parallel import in_parallel
 
 Array = NDArray[np.float64]
@@ -70,7 +71,7 @@ class Imprint:
         def smooth(field: Array) -> Array:
             if np.ptp(field) == 0:  # a layer of one thickness
                 return field
-            return gaussian_filter(field, widths, mode="nearest", axes=(-2, -1))
+            return gaussian_average(field, widths, "nearest")
 
         motion = None if self.motion is None else smooth(self.motion)
         return Imprint(self.x, self.y, smooth(self.unloaded), smooth(self.loaded), motion)

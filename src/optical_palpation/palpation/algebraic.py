@@ -57,10 +57,22 @@ def algebraic_stress(
     MaterialError
         If a pixel is compressed or stretched beyond the strain up to which the material is stable.
     """
-    kind = "a law such as MooneyRivlin(c10=..., c01=...), moduli in kPa"
-    check_instance(material, Law, "material", kind)
+    _check_law(material)
     loaded = on_grid(loaded, "loaded")
     initial = match_initial_thickness(initial_thickness, loaded, glued=glued)
+    return stress_of_pixels(loaded, initial, material, glued=glued)
+
+
+def _check_law(material: Law) -> None:
+    kind = "a law such as MooneyRivlin(c10=..., c01=...), moduli in kPa"
+    check_instance(material, Law, "material", kind)
+
+
+def stress_of_pixels(
+    loaded: xr.DataArray, initial: xr.DataArray, material: Law, *, glued: bool = False
+) -> xr.DataArray:
+    """As :func:`algebraic_stress`, of maps that ``match_initial_thickness`` has put together."""
+    _check_law(material)
     stretch = np.where(inside_layer(loaded), loaded.values / initial.values, np.nan)
     lowest, highest = material.stable_stretches()
     if not glued:
@@ -108,7 +120,7 @@ def algebraic_result(
     """
     loaded = on_grid(loaded, "loaded")
     initial = match_initial_thickness(initial_thickness, loaded, glued=glued)
-    stress = algebraic_stress(loaded, initial, material, glued=glued)
+    stress = stress_of_pixels(loaded, initial, material, glued=glued)
     maps = xr.Dataset(
         {
             "axial_stress": stress,

@@ -22,7 +22,7 @@ from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.side_contact import side_contact
 from optical_palpation.palpation.accuracy import solve_to_accuracy
-from optical_palpation.palpation.algebraic import algebraic_stress
+from optical_palpation.palpation.algebraic import stress_of_pixels
 from optical_palpation.palpation.edges import edge_influence
 from optical_palpation.palpation.input_errors import INPUT_ERRORS, InputErrors, add_error_bands
 from optical_palpation.palpation.memory import check_memory
@@ -195,7 +195,7 @@ def computational_stress(
     if bool(initial.isnull().any()):
         raise InputError("the unloaded thickness has missing values: fill them first")
     motion = None if sample_motion is None else match_sample_motion(sample_motion, loaded)
-    algebraic = algebraic_stress(loaded, initial, material, glued=glued["sample"])
+    algebraic = stress_of_pixels(loaded, initial, material, glued=glued["sample"])
     thickness = typical_thickness(initial)
     slip_length = _slip_length(slip_length, thickness)
     if input_errors is not None:

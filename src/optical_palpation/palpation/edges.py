@@ -121,14 +121,18 @@ def edge_influence(
         Imprint of the pixels in the extent of a free layer alone, where its own has others.
     """
     other: Edges = "free" if edges == "padded" else "padded"
-    apart = problem if within is None else replace(problem, imprint=within)
+    size = _size(problem, field)
+    problem = replace(problem, imprint=problem.imprint.smoothed(0.5 * size))
+    apart = problem
+    if within is not None:
+        apart = replace(problem, imprint=within.smoothed(0.5 * size))
     cases: list[tuple[LayerProblem, Edges]] = [(problem, edges), (apart, other)]
     if within is not None:
         cases.append((apart, edges))
     pressures = []
     for case, sides in cases:
         try:
-            pressures.append(_pressure(_solved(_coarse(case, sides, field)), x, y))
+            pressures.append(_pressure(_solved(_coarse(case, sides, field, size)), x, y))
         except LoadNotReached as failure:
             unknown = f"on a coarse grid, the layer with {sides} sides {failure}"
             nowhere = np.full((y.size, x.size), np.nan)
@@ -162,25 +166,31 @@ def _shares(axis: Array) -> Array:
     return np.asarray(steps / steps.sum())
 
 
-def _coarse(
-    problem: LayerProblem, sides: Edges, field: tuple[float, float, float, float]
-) -> LayerProblem:
-    """Return the problem on the coarse grid, with free, roller or padded sides."""
+def _size(problem: LayerProblem, field: tuple[float, float, float, float]) -> float:
+    """Size of the elements of the coarse grid, mm."""
     x0, x1, y0, y1 = field
-    thickness = float(np.median(problem.grid.thickness))
     finest = float(np.sqrt(np.prod(problem.grid.spacing[1:])))
     size = min(np.sqrt((x1 - x0) * (y1 - y0)) / _ACROSS, 0.25 * min(x1 - x0, y1 - y0))
-    size = max(float(size), finest)
+    return max(float(size), finest)
+
+
+def _coarse(
+    problem: LayerProblem, sides: Edges, field: tuple[float, float, float, float], size: float
+) -> LayerProblem:
+    """Return the problem, its imprint smoothed, on the coarse grid of elements of a ``size``, mm.
+
+    Its sides are free, roller or padded.
+    """
+    x0, x1, y0, y1 = field
+    thickness = float(np.median(problem.grid.thickness))
     x, y = (node_positions(b - a, size, a, edge=_SIDE * thickness) for a, b in ((x0, x1), (y0, y1)))
     if sides == "padded":
         x, y = (padded_nodes(nodes, PADDING * thickness) for nodes in (x, y))
-    imprint = problem.imprint.smoothed(0.5 * size)
     layers = min(problem.grid.shape[0], int(np.clip(round(thickness / size), 2, 4)))
-    unloaded = imprint.evaluate(*np.meshgrid(x, y), 0.0)[0]
+    unloaded = problem.imprint.evaluate(*np.meshgrid(x, y), 0.0)[0]
     return replace(
         problem,
         grid=LayerGrid(x, y, np.linspace(0.0, 1.0, layers + 1), unloaded),
-        imprint=imprint,
         edges="roller" if sides == "roller" else "free",
     )
 

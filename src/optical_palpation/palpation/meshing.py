@@ -28,6 +28,9 @@ Hold = float | Literal["glued"]
 #: Slip length of the friction law, in thicknesses: by default (1 um on a layer of 0.5 mm), and
 #: between which bounds.
 SLIP_LENGTH, SLIP_LENGTHS = 2e-3, (1e-5, 0.05)
+#: Times by which the pixels of an imprint are finer than those of an uneven map are in the mean, at
+#: most.
+_FINEST = 4
 #: Width, in thicknesses, by which ``padded`` edges continue the layer past the field of view.
 PADDING = 3.0
 
@@ -114,7 +117,9 @@ def _uniform(positions: Array) -> Array:
     steps = np.diff(positions)
     if np.ptp(steps) < 1e-3 * steps.mean():
         return positions
-    count = int(np.ceil((positions[-1] - positions[0]) / steps.min())) + 1
+    # Two pixels may lie next to each other, and would make millions of all.
+    step = max(steps.min(), steps.mean() / _FINEST)
+    count = int(np.ceil((positions[-1] - positions[0]) / step)) + 1
     return np.linspace(positions[0], positions[-1], count)
 
 

@@ -15,7 +15,7 @@ from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.mechanics.path import LoadNotReached
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.submodel import Bounds, part_of, solve_part
-from optical_palpation.palpation.algebraic import algebraic_stress
+from optical_palpation.palpation.algebraic import stress_of_pixels
 from optical_palpation.palpation.computational import checked, element_sizes, outcome
 from optical_palpation.palpation.memory import check_memory
 from optical_palpation.palpation.meshing import PADDING, Hold, imprint_of, layer_problem
@@ -137,7 +137,7 @@ def submodel_stress(
         ) from None
     now = checked(solution)
     layer, surface = deformed_layer(solution, now)
-    algebraic = algebraic_stress(loaded, initial, whole.law, glued=inputs.pulls)
+    algebraic = stress_of_pixels(loaded, initial, whole.law, glued=inputs.pulls)
     here = loaded.assign_attrs(layer_extent=[x0, x1, y0, y1])
     maps = surface_maps(solution, surface, here, algebraic, sizes)
     stress = maps["axial_stress"]

@@ -495,7 +495,7 @@ def _label(axes: Axes, names: Sequence[str], centres: Sequence[NDArray[np.float6
         warnings.simplefilter("ignore", UserWarning)
         figure.draw_without_rendering()  # places and sizes are known from then on
     whole = axes.get_window_extent()
-    taken: list[Any] = []
+    taken = np.empty((0, 2, 2))  # corners of the names that are written
     rim = 0.05 * whole.width  # by which later maps of the figure may narrow this one
     plate = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
     for name, centre in zip(names, centres, strict=True):
@@ -508,14 +508,21 @@ def _label(axes: Axes, names: Sequence[str], centres: Sequence[NDArray[np.float6
             text.set_text(f"{name[: kept - kept // 2]}…{name[len(name) - kept // 2 :]}")
             box = text.get_window_extent()
         aside = np.clip(0.0, whole.x0 + rim - box.x0, whole.x1 - rim - box.x1)
-        steps = [1.3 * box.height * k for n in range(len(taken) + 1) for k in (n, -n)]
-        moved = [box.translated(aside, up) for up in steps]
-        free = [b for b in moved if not any(b.overlaps(other) for other in taken)]
-        box = next((b for b in free if whole.y0 <= b.y0 and b.y1 <= whole.y1), moved[0])
-        taken.append(box)
+        step = 1.3 * box.height
+        most = min(len(taken), int(whole.height / step) + 1)  # further ones are off the map
+        moved = (box.translated(aside, step * k) for n in range(most + 1) for k in (n, -n))
+        inside = (b for b in moved if whole.y0 <= b.y0 and b.y1 <= whole.y1)
+        free = (b for b in inside if not _overlaps(b.get_points(), taken).any())
+        box = next(free, box.translated(aside, 0.0))
+        taken = np.append(taken, box.get_points()[None], axis=0)
         middle = ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2)
         x, y = axes.transData.inverted().transform(middle)
         text.set_position((x, y))
+
+
+def _overlaps(box: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which of other boxes, (n, 2, 2), lower corner before upper, meet one, (2, 2)."""
+    return ((others[:, 0] <= box[1]) & (box[0] <= others[:, 1])).all(axis=-1)
 
 
 def letter(panels: Sequence[Axes]) -> None:

@@ -14,7 +14,7 @@ from optical_palpation.mechanics.grid import node_positions
 from optical_palpation.mechanics.stack.assembly import Blocks
 from optical_palpation.mechanics.stack.newton import balance
 from optical_palpation.mechanics.stack.problem import LAYER, WINDOW
-from optical_palpation.palpation.algebraic import algebraic_stress
+from optical_palpation.palpation.algebraic import stress_of_pixels
 from optical_palpation.palpation.computational import residuals
 from optical_palpation.palpation.plausibility import unusual
 from optical_palpation.palpation.result import StressResult
@@ -90,7 +90,7 @@ def sample_result(
         estimate.pressed, errors.loads, loads, measured, strict=True
     ):
         initial = match_initial_thickness(initial_thickness, loaded)
-        algebraic = algebraic_stress(loaded, initial, blocks.law)
+        algebraic = stress_of_pixels(loaded, initial, blocks.law)
         each.append(_of_load(pressed, band, loaded, algebraic, surface, x, y))
         of_pixels.append(
             xr.Dataset({"algebraic_axial_stress": algebraic, "loaded_thickness": loaded})

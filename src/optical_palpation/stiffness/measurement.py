@@ -127,8 +127,11 @@ def without_noise(field: xr.DataArray, spacing: float) -> xr.DataArray:
     """Return a map on ``(y, x)`` as elements ``spacing`` apart, mm, can follow it.
 
     Where layer and sample touch first their thickest place decides, and of noise that is the
-    largest one. A map that has less than two pixels for each element is left as it is.
+    largest one. A map that has less than two pixels for each element is left as it is, and so is
+    the same thickness everywhere.
     """
+    if np.ptp(field.values) == 0:
+        return field
     if max(float(np.diff(field[axis]).max()) for axis in "yx") > 0.5 * spacing:
         return field
     surface = ThicknessSurface.fitted(field, spacing)

@@ -193,13 +193,12 @@ class Watch:
         except OSError as error:
             raise InputError(f"{self._folder}: cannot be read ({error.strerror})") from error
         complete = []
+        own = {self.output.resolve(), self._file.resolve()}
         for path in there:
-            if path.resolve() in (self.output.resolve(), self._file.resolve()):
-                continue
             if not path.match(self._pattern):
                 continue
             state = file_state(path)
-            if not state or self._handled.get(path) == state:
+            if not state or self._handled.get(path) == state or path.resolve() in own:
                 continue
             before = self._seen.get(path)
             if before is None or before[0] != state:

@@ -37,6 +37,7 @@ HAMPEL = 3.0  # an outlier is this many (robust) standard deviations off the med
 #: Times by which a reflection exceeds the usual intensity of the brightest sample of an A-scan.
 SPECULAR = 8.0
 FWHM = 2.355
+SMALLEST = (32, 1, 4)  # shape of a volume that shows a layer and the width of its speckle
 RELEASE = 32  # B-scans after which the pages of a mapped file are given back
 
 
@@ -457,7 +458,7 @@ def _scan(
     scale = getattr(metadata, "scale", None) if scale is None else scale
     if spacing is None or scale is None:
         raise InputError("find_layer: give the spacing (z, y, x) in mm and the scale of the volume")
-    if len(source.shape) != 3 or min(source.shape) < 1 or source.shape[0] < 32:
+    if len(source.shape) != 3 or not np.all(np.greater_equal(source.shape, SMALLEST)):
         raise InputError(
             f"a volume of shape {source.shape} (z, y, x) is too small for a layer; is the order of "
             "the axes right?"

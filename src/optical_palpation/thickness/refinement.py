@@ -33,6 +33,9 @@ FINER = 0.9
 PATCH = 6.0  # lateral averages (standard deviations) over which a reflection is equally bright
 # Reflections tried, as bright as the sample is over so many axial resolutions (deviations).
 GLINTS: NDArray[np.float64] = np.array([0.0, *(0.25 * 1.25 ** np.arange(21))])
+# Widths of the point-spread function: half as many again as the widest step that is fitted has. A
+# surface whose slope blurs it by more follows noise.
+ROUGH = 8.0
 OFFSET = 0.05  # of the bright side, added to the profile: keeps faint tails from steering
 PIXEL_VARIANCE = 1 / 12 + 1 / 12  # blur by the pixel itself and by interpolation between pixels
 
@@ -265,7 +268,8 @@ def _step_shift(
     Below the step the mean falls as the sample attenuates the light. On it may lie a reflection.
     """
     half = mean.shape[2] // 2
-    step = sigma / 3.0
+    # Where a surface is as rough as noise, no finer than that: profiles and searches are long.
+    step = max(sigma, float(np.median(blur)) / ROUGH) / 3.0
     trials = step * np.arange(-round(reach / step), round(reach / step) + 1)
     depth = np.arange(-half, half + 1) - trials[:, None]
     decay = _decay(mean)
@@ -279,21 +283,18 @@ def _step_shift(
     strengths = sigma * GLINTS
     glint = _glints(mean, blur, decay, lateral)
     strength = np.rint(np.interp(glint, strengths, np.arange(len(strengths)))).astype(np.intp)
-    rises = (rises + strengths[:, None, None, None] * _spread(depth, widths)).reshape(
-        -1, *depth.shape
-    )
-    level += len(widths) * strength
-    dark_ends, bright_starts, bright_ends = (
-        np.tile(ends, (len(strengths), 1)) for ends in (dark_ends, bright_starts, bright_ends)
-    )
+    # of those that occur, which are a few
+    used, level_used = np.unique(level + len(widths) * strength, return_inverse=True)
+    used_strength, width = np.divmod(used, len(widths))
+    rises = rises[width] + strengths[used_strength, None, None] * _spread(depth, widths)[width]
     shift, contrast = np.zeros((2, *level.shape))
     _fit_step(
         mean,
-        level,
+        level_used.reshape(level.shape),
         rises.astype(np.float32),
-        dark_ends,
-        bright_starts,
-        bright_ends,
+        dark_ends[width],
+        bright_starts[width],
+        bright_ends[width],
         step,
         shift,
         contrast,

@@ -48,10 +48,11 @@ def lateral_shift(reference: xr.DataArray, moving: xr.DataArray) -> tuple[float,
         raise InputError(f"lateral_shift: pixel spacings {steps} and {other} mm differ")
     # by number of pixel, since two scans of one sample may begin anywhere
     total = np.zeros(2)
+    sought = _features(reference)
     for _ in range(ROUNDS):
         rest = _features(shift_map(moving, (total[0], total[1])))
         found, *_ = phase_cross_correlation(
-            _features(reference), rest, upsample_factor=SUBPIXEL, normalization=None
+            sought, rest, upsample_factor=SUBPIXEL, normalization=None
         )
         # skimage gives the shift that takes `moving` back to `reference`.
         total -= np.asarray(found) * steps

@@ -12,8 +12,8 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,9 @@ _PANDAS_BLOCK = re.compile(r"(.*/block)(\d+)_values")
 _OWN_ATTRS = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "DIMENSION_LABELS"}
 _OWN_ATTRS |= {"_Netcdf4Dimid", "_Netcdf4Coordinates"}
 
+#: What :func:`_numbered_scales` tells of a group, by its name.
+_ScalesIn = Callable[[str], Mapping[int, tuple[str, int]]]
+
 
 def recognises(path: Path, head: bytes) -> bool:
     """Tell by the HDF5 signature at byte 0, 512, 1024 or 2048."""
@@ -51,9 +54,12 @@ def contents(path: Path, wanted: str | None) -> Contents:
     file = open_file(path)
     try:
         found, texts, unread = {}, unit_texts(_attributes(file), ""), []
+        # of a group once: it may hold thousands of arrays
+        attributes_of = cache(lambda group: _attributes(file[group]))
+        scales_in = cache(lambda group: _numbered_scales(file[group]))
         for name, item in datasets(path, file):
             group = name.rpartition("/")[0]
-            texts |= unit_texts_above(name, lambda above: _attributes(file[above]))
+            texts |= unit_texts_above(name, attributes_of)
             by_octave = group != "" and "OCTAVE_NEW_FORMAT" in file[group].attrs
             if by_octave and name == f"{group}/value":
                 name = group
@@ -70,7 +76,7 @@ def contents(path: Path, wanted: str | None) -> Contents:
                 unread.append(name)
             elif not _is_bare(item):
                 columns_first = by_octave or "MATLAB_class" in item.attrs
-                found[name] = _variable(path, file, name, item, columns_first)
+                found[name] = _variable(path, file, name, item, columns_first, scales_in)
         unread += [name for name in found if is_unit_key(name.rpartition("/")[2])]
         if wanted is not None and wanted.strip("/") not in found:
             _refuse_links(path, file, wanted.strip("/"))
@@ -183,7 +189,9 @@ def is_complex_pair(dtype: np.dtype[Any]) -> bool:
     return set(dtype.names or ()) in ({"real", "imag"}, {"r", "i"})
 
 
-def _variable(path: Path, file: Any, name: str, item: Any, columns_first: bool) -> Variable:
+def _variable(
+    path: Path, file: Any, name: str, item: Any, columns_first: bool, scales_in: _ScalesIn
+) -> Variable:
     where = f"{path}, variable {name}"
     attrs = {key: value for key, value in _attributes(item).items() if key not in _OWN_ATTRS}
     # a list of variable length is no description: it is refused as a text would be
@@ -199,8 +207,9 @@ def _variable(path: Path, file: Any, name: str, item: Any, columns_first: bool) 
 
             return Variable(item.shape[::-1], dtype, reversed_, access, (), attrs, facts)  # type: ignore[arg-type]
         opened: Any = partial(stored_array, path, item)
-        return Variable(item.shape, dtype, opened, access, _dims(file, item), attrs, facts)  # type: ignore[arg-type]
-    dims = _dims(file, item)
+        dims = _dims(file, item, scales_in)
+        return Variable(item.shape, dtype, opened, access, dims, attrs, facts)  # type: ignore[arg-type]
+    dims = _dims(file, item, scales_in)
     decoding = partial(
         Decoded,
         # xarray, which decodes, wants names for all axes, and all of them different.
@@ -353,14 +362,14 @@ def _plain(value: object) -> object:
     return value.decode(errors="replace") if isinstance(value, bytes) else value
 
 
-def _dims(file: Any, item: Any) -> tuple[str, ...]:
+def _dims(file: Any, item: Any, scales_in: _ScalesIn) -> tuple[str, ...]:
     """Names of a dataset's axes, empty where an axis has none."""
     own = item.name.rpartition("/")[2]
     labels = [str(_plain(label) or "") for label in _attribute(item, "DIMENSION_LABELS", ())]
     if "DIMENSION_SCALE" in str(_plain(_attribute(item, "CLASS", ""))) and item.ndim == 1:
         names = [own]
     else:
-        names = _netcdf_dims(item) or _scale_dims(file, item)
+        names = _netcdf_dims(item, scales_in) or _scale_dims(file, item)
     if labels and names:
         for axis, (label, name) in enumerate(zip(labels, names, strict=False)):
             if label and name and label != name and item.ndim > 1:
@@ -400,28 +409,34 @@ def _tagged_dims(item: Any) -> list[str]:
         return []
 
 
-def _netcdf_dims(item: Any) -> list[str]:
+def _netcdf_dims(item: Any, scales_in: _ScalesIn) -> list[str]:
     """Names of axes by the numbers of netCDF's dimensions.
 
     Tried before HDF5's lists of references to them: those are of variable length, and a damaged
     length makes the library loop or take gigabytes.
     """
-    import h5py
-
     numbers = np.ravel(_attribute(item, "_Netcdf4Coordinates", ()))
     if len(numbers) != item.ndim:
         return []
+    by_number = scales_in(item.parent.name)
+    found = [by_number.get(int(number)) for number in numbers]
+    fits = all(f is not None and f[1] == n for f, n in zip(found, item.shape, strict=True))
+    return [f[0] for f in found if f is not None] if fits else []
+
+
+def _numbered_scales(group: Any) -> dict[int, tuple[str, int]]:
+    """Names and lengths of the dimensions of a group, by netCDF's numbers."""
+    import h5py
+
     by_number = {}
-    for name in item.parent:
-        if isinstance(item.parent.get(name, getlink=True), h5py.HardLink):
-            scale = item.parent[name]
+    for name in group:
+        if isinstance(group.get(name, getlink=True), h5py.HardLink):
+            scale = group[name]
             if isinstance(scale, h5py.Dataset) and "_Netcdf4Dimid" in scale.attrs:
                 number = _attribute(scale, "_Netcdf4Dimid", None)
                 if np.shape(number) == () and scale.ndim == 1:
                     by_number[int(number)] = (name, scale.size)
-    found = [by_number.get(int(number)) for number in numbers]
-    fits = all(f is not None and f[1] == n for f, n in zip(found, item.shape, strict=True))
-    return [f[0] for f in found if f is not None] if fits else []
+    return by_number
 
 
 def _scale_dims(file: Any, item: Any) -> list[str]:

@@ -92,4 +92,4 @@ def _axis(at: NDArray[Any]) -> list[float]:
 
 
 def _packed(content: bytes) -> str:
-    return base64.b64encode(zlib.compress(content, 9)).decode("ascii")
+    return base64.b64encode(zlib.compress(content, 6)).decode("ascii")

@@ -1,0 +1,51 @@
+"""Gaussian averages of maps, however wide."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+Array = NDArray[np.float64]
+
+#: Standard deviation in pixels from which Fourier transforms are faster than sums.
+_WIDE = 16.0
+
+
+def gaussian_average(
+    field: Array, widths: tuple[float, float], mode: Literal["nearest", "constant"]
+) -> Array:
+    """Average of maps (..., y, x) by a Gaussian, as of ``scipy.ndimage.gaussian_filter``.
+
+    That sums over all pixels of a wide Gaussian for each pixel, seconds for a large map.
+
+    Parameters
+    ----------
+    field
+        The maps, without missing values.
+    widths
+        Standard deviations (y, x), pixels.
+    mode
+        What lies beyond the border: the ``nearest`` pixel, or ``constant`` zero.
+    """
+    for axis, sigma in zip((-2, -1), widths, strict=True):
+        if sigma < _WIDE:
+            field = gaussian_filter1d(field, sigma, axis, mode=mode)
+        else:
+            field = _by_transforms(field, sigma, axis, mode)
+    return field
+
+
+def _by_transforms(field: Array, sigma: float, axis: int, mode: str) -> Array:
+    from scipy.signal import fftconvolve  # slow to load
+
+    reach = int(4 * sigma + 0.5)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    along = [1] * field.ndim
+    along[axis] = -1
+    beyond = [(reach, reach) if size < 0 else (0, 0) for size in along]
+    padded = np.pad(field, beyond, mode="edge" if mode == "nearest" else "constant")
+    kernel = (weights / weights.sum()).reshape(along)
+    return np.asarray(fftconvolve(padded, kernel, mode="valid", axes=axis))
