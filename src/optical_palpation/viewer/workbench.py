@@ -161,7 +161,6 @@ class Workbench(QObject):
         found
             As from :func:`~optical_palpation.analysis.compare_results`, of two results.
         """
-        self.forget_difference()
         # an error is no difference to be coloured about zero
         fields = found.isel(compared=0, drop=True).rename(
             {name: new for name, new in _DIFFERENCE.items() if name in found}
@@ -171,8 +170,10 @@ class Workbench(QObject):
         for layer in layers:
             about = layer.keywords["metadata"][KEY]
             about |= {"comparison": True, "caption": f"{about['caption']}\n{other} less this"}
-        self.show(layers)
-        self.raise_regions()
+        with self.at_once():
+            self.forget_difference()
+            self.show(layers)
+            self.raise_regions()
         self.view_maps([layers[-1].keywords["name"]])
 
     def forget_found(self, side: str) -> None:
