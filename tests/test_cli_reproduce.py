@@ -2,11 +2,17 @@
 
 import json
 import re
+import shutil
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import pytest
 
+from optical_palpation.cli import main
 from optical_palpation.reproduce import PAGES
+
+ONLY = ("--only", "friction", "--only", "resolution")
 
 
 @pytest.fixture
@@ -14,6 +20,17 @@ def here(tmp_path, monkeypatch):
     """An empty folder to work in."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture(scope="module")
+def two_parts(tmp_path_factory):
+    """The folder of a page of two parts, made quickly, and what the command said; to be copied."""
+    folder = tmp_path_factory.mktemp("two-parts") / "page"
+    said = StringIO(), StringIO()
+    with redirect_stdout(said[0]), redirect_stderr(said[1]), pytest.raises(SystemExit) as leaving:
+        main(["reproduce", "--output", str(folder), *ONLY, "--quick"])
+    assert not leaving.value.code, said[1].getvalue()
+    return folder, *(stream.getvalue() for stream in said)
 
 
 def cells(page, what):
@@ -24,12 +41,11 @@ def cells(page, what):
 
 
 @pytest.mark.slow
-def test_parts_and_page(here, run):
-    only = ["--only", "friction", "--only", "resolution"]
-    status, out, err = run("reproduce", "--output", "page", *only, "--quick")
-    assert status == 0
-    assert out == "page: page/validation.md\n"
+def test_parts_and_page(here, run, two_parts):
+    folder, out, err = two_parts
+    assert out == f"page: {folder / 'validation.md'}\n"
     assert "resolution: " in err
+    shutil.copytree(folder, here / "page")
     page = (here / "page/validation.md").read_text()
     assert page.count("--quick`: the coarsest grids") == 3  # at the top and in both parts
     pictures = re.findall(r"!\[.+\]\((.+)\)", page)
@@ -52,13 +68,15 @@ def test_parts_and_page(here, run):
     # What is there already is kept, whatever else is asked for.
     record = here / "page/validation/resolution.json"
     made = record.stat().st_mtime_ns
-    assert run("reproduce", "--output", "page", *only, "--quick", "--quiet") == (0, "", "")
+    assert run("reproduce", "--output", "page", *ONLY, "--quick", "--quiet") == (0, "", "")
     assert record.stat().st_mtime_ns == made
     # A picture that is gone is made again.
-    (here / "page/validation/section-7.png").unlink()
-    assert run("reproduce", "--output", "page", "--only", "resolution", "--quick")[0] == 0
+    record = here / "page/validation/friction.json"
+    made = record.stat().st_mtime_ns
+    (here / "page/validation/figure-2a.png").unlink()
+    assert run("reproduce", "--output", "page", "--only", "friction", "--quick")[0] == 0
     assert record.stat().st_mtime_ns > made
-    assert (here / "page/validation/section-7.png").exists()
+    assert (here / "page/validation/figure-2a.png").exists()
 
 
 def test_parts_from_third_party_data(here, run, shared_data):
@@ -91,7 +109,8 @@ def test_parts_from_third_party_data(here, run, shared_data):
 
 
 @pytest.mark.slow
-def test_everything_quickly(here, run, shared_data):
+def test_everything_quickly(here, run, shared_data, two_parts):
+    shutil.copytree(two_parts[0], here / "page")  # the others are made
     data = ["--data", shared_data, "--references", Path(__file__).parent / "data" / "references"]
     status, out, _ = run("reproduce", "--output", "page", *data, "--quick")
     assert (status, out) == (0, "page: page/validation.md\npage: page/verification.md\n")

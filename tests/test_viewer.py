@@ -1,5 +1,6 @@
 """The napari plugin with real Qt and OpenGL: dropped files, mouse, table, sliders, saved study."""
 
+import gc
 import os
 import re
 import shutil
@@ -52,8 +53,16 @@ def display():
         tried = subprocess.run([sys.executable, "-c", TRIAL], capture_output=True, text=True)
         if tried.returncode != 0:
             pytest.skip("no screen with OpenGL for napari")
+        import napari.window  # noqa: F401
+
+        import optical_palpation.viewer.panel  # noqa: F401
+
+        # napari collects garbage whenever a layer goes: it need not look among all these modules
+        gc.collect()
+        gc.freeze()
         yield
     finally:
+        gc.unfreeze()
         if server is not None:
             server.terminate()
             server.wait()

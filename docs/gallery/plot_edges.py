@@ -23,7 +23,8 @@ results = {
         sample_friction=0.1,
         element_size=0.25,
         edges=edges,
-        edge_check=False,  # the stress alone
+        mesh_check=False,  # the stress alone
+        edge_check=False,
         input_errors=None,
     )
     for edges in ("free", "padded")

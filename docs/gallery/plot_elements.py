@@ -22,7 +22,8 @@ for size in (0.25, 0.167, 0.125):
         window_friction=0.15,
         sample_friction=0.1,
         element_size=size,
-        edge_check=False,  # the stress alone
+        mesh_check=False,  # the stress alone
+        edge_check=False,
         input_errors=None,
     )
     row = result.maps["axial_stress"].interp(y=2)

@@ -20,7 +20,8 @@ common = {
     "window_friction": about["window_friction"],
     "sample_friction": about["sample_friction"],
     "element_size": 0.2,
-    "edge_check": False,  # the stress alone, without what the sides and the errors of the inputs do
+    "mesh_check": False,  # the stress alone, without what mesh, sides and errors of the inputs do
+    "edge_check": False,
     "input_errors": None,
 }
 still = op.computational_stress(loaded, about["initial_thickness_mm"], law, **common)

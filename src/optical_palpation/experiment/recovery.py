@@ -57,8 +57,8 @@ def recovered_stress(
     Returns
     -------
     StressResult
-        Of the computational method, without error bands and the influence of the sides: the truth
-        is known. Its ``algebraic_axial_stress`` is that of the same noisy thickness.
+        Of the computational method, without error bands and the influence of mesh and sides: the
+        truth is known. Its ``algebraic_axial_stress`` is that of the same noisy thickness.
 
     Raises
     ------
@@ -82,6 +82,7 @@ def recovered_stress(
         sample_friction=scene.friction.sample if sample_friction is None else sample_friction,
         element_size=element_size,
         sample_motion=sample_motion,
+        mesh_check=False,
         edge_check=False,
         input_errors=None,
         threads=threads,

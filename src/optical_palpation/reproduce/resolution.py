@@ -45,6 +45,9 @@ def resolution(setting: Setting) -> Part:
             element_size=(size, size, _THICKNESS / 8),
             edges="padded",
             imprint_smoothing=smoothing,
+            mesh_check=False,  # the stress alone
+            edge_check=False,
+            input_errors=None,
             threads=setting.threads,
             progress=report,
         ).maps

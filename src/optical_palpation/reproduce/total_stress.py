@@ -147,6 +147,9 @@ def _force(thickness: float, mu: float, change: float, element: float, setting: 
             window_friction=mu + change,
             sample_friction=_SAMPLE_FRICTION + change,
             element_size=(element, element, _THICKNESS / 4),
+            mesh_check=False,  # the force alone
+            edge_check=False,
+            input_errors=None,
             threads=setting.threads,
         )
     except ConvergenceError:

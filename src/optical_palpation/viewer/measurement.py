@@ -181,8 +181,9 @@ class Measurement(QGroupBox):
             return
 
         def then(found: dict[str, Any]) -> None:
-            for side, layer in found.items():
-                show_found(bench, side, layer)
+            with bench.at_once():
+                for side, layer in found.items():
+                    show_found(bench, side, layer)
             if found:
                 bench.view_bscans(next(iter(found)))
 

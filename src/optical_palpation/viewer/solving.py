@@ -181,23 +181,24 @@ class Solving(QGroupBox):
 
     def _show_result(self, result: StressResult) -> None:
         bench = self._bench
-        for side, found in bench.session.found.items():
-            known = side in bench.seen
-            if found is not bench.seen.get(side):  # with corrections that were drawn since
-                show_found(bench, side, found)
-            if not known:
-                bench.hide_found(side)
         first = bench.result is None
-        bench.result = result
-        bench.forget_difference()
         others = [str(name) for name in result.maps.data_vars if name not in _SHOWN + _HIDDEN]
         layers = map_layers(result.maps, only=[*others, *_SHOWN])
         for layer in layers[:-1]:
             layer.keywords["visible"] = False
-        self._forget(keep=bench.show(layers))
-        if not list(bench.layers("regions")):
-            bench.show([region_layer(result.maps)])
-        bench.raise_regions()
+        with bench.at_once():
+            for side, found in bench.session.found.items():
+                known = side in bench.seen
+                if found is not bench.seen.get(side):  # with corrections that were drawn since
+                    show_found(bench, side, found)
+                if not known:
+                    bench.hide_found(side)
+            bench.result = result
+            bench.forget_difference()
+            self._forget(keep=bench.show(layers))
+            if not list(bench.layers("regions")):
+                bench.show([region_layer(result.maps)])
+            bench.raise_regions()
         if first:
             bench.view_maps([term(result.maps, "axial_stress").label])
         self.outcome.setText(_in_words(result))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -74,12 +75,21 @@ class Workbench(QObject):
         self.session = session
         self.result = None
         self.seen = {}
-        for side in SIDES:
-            self.forget_found(side)
-            given = session.input(side)
-            if "volume" in given and self.volume_of(given["volume"]) is None:
-                self.show([volume_layer(session.open_volume(side), given["volume"])])
-        self.opened.emit()
+        with self.at_once():
+            for side in SIDES:
+                self.forget_found(side)
+                given = session.input(side)
+                if "volume" in given and self.volume_of(given["volume"]) is None:
+                    self.show([volume_layer(session.open_volume(side), given["volume"])])
+            self.opened.emit()
+
+    def at_once(self) -> AbstractContextManager[None]:
+        """Let layers come and go, and the canvas follow at the end.
+
+        It would else be drawn anew, and garbage be collected, for each of them.
+        """
+        context: AbstractContextManager[None] = self.viewer.layers.batched_update()
+        return context
 
     def layers(self, kind: str, side: str | None = None) -> Iterator[NapariLayer]:
         """Layers of this plugin, by kind and side."""
@@ -151,7 +161,6 @@ class Workbench(QObject):
         found
             As from :func:`~optical_palpation.analysis.compare_results`, of two results.
         """
-        self.forget_difference()
         # an error is no difference to be coloured about zero
         fields = found.isel(compared=0, drop=True).rename(
             {name: new for name, new in _DIFFERENCE.items() if name in found}
@@ -161,8 +170,10 @@ class Workbench(QObject):
         for layer in layers:
             about = layer.keywords["metadata"][KEY]
             about |= {"comparison": True, "caption": f"{about['caption']}\n{other} less this"}
-        self.show(layers)
-        self.raise_regions()
+        with self.at_once():
+            self.forget_difference()
+            self.show(layers)
+            self.raise_regions()
         self.view_maps([layers[-1].keywords["name"]])
 
     def forget_found(self, side: str) -> None:
