@@ -72,7 +72,7 @@ def test_a_part_is_in_balance_where_the_whole_is(box, options):
     dragged = Drag(300.0, part(problem, origin, box)[1], [b[box] for b in bound])
     for whole, local in (
         (balance(problem, state), balance(own, cut)),
-        (balance(problem, state, None, drag), balance(own, cut, None, dragged)),
+        (balance(problem, state, drag), balance(own, cut, dragged)),
     ):
         expected = whole.residual[:, :, *box][..., free]
         assert np.abs(expected).max() > 0.1
@@ -147,7 +147,7 @@ def test_held_columns_stay_where_they_are(solved):
     box = slice(0, 8), slice(0, 8)
     own, cut = part(problem, start, box)
     solver = make_solver(own, "multigrid")
-    now, _ = equilibrate(own, cut, solver, TOLERANCES, near=True)
+    now, _ = equilibrate(own, cut, solver, TOLERANCES)
     held = own.held_columns
     assert held is not None
     assert_array_equal(now.state.u[..., held], cut.u[..., held])

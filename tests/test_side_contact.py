@@ -11,10 +11,9 @@ from optical_palpation.mechanics.cascade import make_solver, prolong, solve
 from optical_palpation.mechanics.contact import slip_coordinate
 from optical_palpation.mechanics.friction import (
     MEMORY,
-    direction_step,
     friction_direction,
-    friction_stiffness,
     held_fast,
+    look_ahead,
     remembered,
 )
 from optical_palpation.mechanics.grid import LayerGrid, face_and_sides, node_positions
@@ -53,7 +52,7 @@ def rolled():
 
 def pressed(problem, state):
     _, w = face_and_sides(slip_coordinate(problem, state), problem.grid.node_shape[1:])
-    return side_contact(problem, state, (w, friction_direction(w)))
+    return side_contact(problem, state, w)
 
 
 def planes(contact, shape):
@@ -84,7 +83,9 @@ def test_the_stiffness_is_the_derivative_of_the_forces(rolled):
         pressed(problem, replace(state, u=state.u + 1e-7 * step)).force
         - pressed(problem, replace(state, u=state.u - 1e-7 * step)).force
     ) / 2e-7
-    found = planes(contact, shape) @ np.moveaxis(step, 0, -1).ravel()
+    at_rest = contact.friction(np.zeros(state.u.shape), np.ones(shape))
+    tangent = contact.tangent(at_rest)
+    found = planes(tangent, shape) @ np.moveaxis(step, 0, -1).ravel()
     found = np.moveaxis(found.reshape(*shape, 3), -1, 0)
     assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
 
@@ -117,14 +118,38 @@ def test_law_of_friction(size):
     w = size * np.stack([np.cos(angle), np.sin(angle)])[None]
     s = friction_direction(w)
     assert (np.hypot(s[:, 0], s[:, 1]) < 1).all()
-    xx, xy, yy = friction_stiffness(w, s)
+    ahead = look_ahead(w, np.zeros(w.shape), np.full((1, 5), 0.02), np.full((1, 5), 0.3))
     dw = 1e-6 * rng.normal(0, 1, w.shape)
     change = friction_direction(w + dw) - friction_direction(w - dw)
-    expected = 2 * np.stack([xx * dw[:, 0] + xy * dw[:, 1], xy * dw[:, 0] + yy * dw[:, 1]], 1)
-    assert_allclose(change, expected, atol=1e-11)
-    assert_allclose(direction_step(w, s, dw), 0.5 * expected, atol=1e-11)
-    # from anywhere, what is linearised leads to the law
-    assert_allclose(direction_step(w, 0.0 * s, 0.0 * w), s, atol=1e-12)
+    # in equilibrium the law is linearised where it is
+    assert_allclose(change, 2 * along(ahead.slope, dw), atol=1e-11)
+    assert_allclose(ahead.direction, s, atol=1e-6)
+    assert_allclose(ahead.change, 0.0, atol=1e-6)
+
+
+def along(slope, dw):
+    xx, xy, yy = np.moveaxis(slope, 1, 0)
+    return np.stack([xx * dw[:, 0] + xy * dw[:, 1], xy * dw[:, 0] + yy * dw[:, 1]], 1)
+
+
+@pytest.mark.parametrize("bound", [0.0, 0.01, 1.0])
+def test_a_node_on_a_spring_comes_to_rest_in_one_step(bound):
+    """Whether it sticks or slides, and however it did before."""
+    rng = np.random.default_rng(4)
+    w = rng.normal(0, 1, (2, 2, 300)) * 10 ** rng.uniform(-2, 2, (2, 1, 300))
+    pull = rng.normal(0, 1, w.shape) * 10 ** rng.uniform(-2, 2, (2, 1, 300)) * max(bound, 0.01)
+    spring, bound = 0.02, np.full((2, 300), bound)
+
+    def residual(w):
+        return spring * w + bound[:, None] * friction_direction(w) - pull
+
+    ahead = look_ahead(w, residual(w), np.array(spring), bound)
+    xx, xy, yy = np.moveaxis(
+        spring * np.array([1.0, 0, 1.0])[:, None] + bound[:, None] * ahead.slope, 1, 0
+    )
+    rx, ry = np.moveaxis(residual(w) + bound[:, None] * ahead.change, 1, 0)
+    step = -np.stack([yy * rx - xy * ry, xx * ry - xy * rx], 1) / (xx * yy - xy**2)[:, None]
+    assert_allclose(residual(w + step), 0.0, atol=2e-5 * np.abs(pull).max())
 
 
 def test_what_is_remembered_of_slip():

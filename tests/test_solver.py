@@ -119,6 +119,8 @@ class Point:
     def imbalance(self):
         return self.force_error
 
+    merit = imbalance
+
 
 def test_an_error_that_does_not_fall_is_not_waited_for():
     seen = []

@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 from optical_palpation.runtime.kernels import keep_kernels
 
 from .faces import SHAPE, SLOPE, push_slope
-from .friction import friction_direction, friction_stiffness, remembered
+from .friction import friction_direction, look_ahead, node_stiffness, remembered
 from .grid import contact_nodes, face_and_sides
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .side_contact import side_contact
@@ -70,8 +70,10 @@ class ContactLinearisation:
 
     All arrays end in ``(ny + 1, nx + 1)`` and begin with the face. ``row`` and ``column`` (x, y)
     are the factors with which the vertical equation and the vertical displacement enter the lateral
-    ones; ``traction`` (x, y) friction of a bound that is given, mN; ``block`` (xx, xy, yy) the
-    lateral stiffness of friction; ``turning`` (ny + 1, nx + 1, 9, 2, 3; imprint only)
+    ones; ``traction`` (x, y) friction of a bound that is given, mN; ``slip`` (x, y) that of the
+    law of friction, ``bound`` mu N and ``carried`` what of that is in the residual, mN, ``coupled``
+    the mu by which that follows from the vertical equations; ``turning``
+    (ny + 1, nx + 1, 9, 2, 3; imprint only)
     the lateral stiffness by which contact forces turn with the element faces,
     over the neighbours 3 (dy + 1) + (dx + 1); ``spring`` the stiffness of the
     contact coordinate d, where ``stiff`` so great that d is sought from where it would be were it
@@ -85,11 +87,38 @@ class ContactLinearisation:
     row: Array
     column: Array
     traction: Array
-    block: Array
+    slip: Array
+    bound: Array
+    carried: Array
+    coupled: Array
     turning: Array
     spring: Array
     stiff: NDArray[np.bool_]
     rigid: NDArray[np.bool_]
+
+    def friction(self, problem: LayerProblem, residual: Array, whole: Array) -> FaceFriction:
+        """Linearise friction of a state.
+
+        ``residual`` is that of ``Balance``, ``whole`` (nz + 1, ny + 1, nx + 1), mN, the bound of
+        all friction at a node: each takes its share of what is out of balance there.
+        """
+        share = self.carried / np.maximum(whole[[0, -1]], 1e-300)
+        share[self.carried == 0] = 1.0
+        elastic = node_stiffness(problem.shear_modulus, problem.grid.areas) * problem.slip_length
+        lateral = np.moveaxis(residual[:2, [0, -1]], 1, 0)
+        ahead = look_ahead(self.slip, share[:, None] * lateral, share * elastic, self.carried)
+        turned = ahead.direction - friction_direction(self.slip)
+        coupled = self.coupled[:, None] * turned
+        block = self.bound[:, None] / problem.slip_length * ahead.slope
+        # not part of the equations; it tells the linear solver that a glued face sticks
+        sticks = STIFF * complementarity_scale(problem) * np.array([1.0, 0.0, 1.0])[:, None, None]
+        block[list(problem.glued)] = sticks
+        return FaceFriction(
+            row=self.row + np.array([1.0, -1.0])[:, None, None, None] * coupled,
+            block=block,
+            change=self.carried[:, None] * ahead.change,
+            turned=self.carried[:, None] * turned,
+        )
 
     def to_undo(
         self, problem: LayerProblem, now: ContactLinearisation, normal_force: Array
@@ -113,6 +142,22 @@ class ContactLinearisation:
             if glued:
                 load[face], step[face] = 0.0, now.off[face]
         return load, step
+
+
+@dataclass(frozen=True)
+class FaceFriction:
+    """Friction of both faces linearised, by the step of the slip (``friction.look_ahead``).
+
+    All arrays begin with the face and end in (ny + 1, nx + 1): ``row`` (x, y) as that of
+    ``ContactLinearisation``, with friction as it will be, ``block`` (xx, xy, yy) its lateral
+    stiffness, mN / mm, ``change`` (x, y) what it is to begin with beyond that of the state, and
+    ``turned`` (x, y) what it will be beyond that where each node comes to rest alone, mN.
+    """
+
+    row: Array
+    block: Array
+    change: Array
+    turned: Array
 
 
 def complementarity_scale(problem: LayerProblem) -> Array:
@@ -155,15 +200,13 @@ def linearise(
     state: LayerState,
     force: Array,
     slip: Array,
-    direction: Array,
     bound: Array | None = None,
 ) -> ContactLinearisation:
     """Linearise contact and friction at ``state`` with the internal nodal ``force``.
 
-    ``force`` includes what presses the sides; ``slip`` is the w of ``slip_coordinate`` and
-    ``direction`` the unknown s, both (2, 2, m). Friction
-    is bounded by the contact forces themselves or, if given, by the normal forces ``bound``
-    (2, ny + 1, nx + 1), mN.
+    ``force`` includes what presses the sides; ``slip`` is the w of the faces, (2, 2, ny + 1,
+    nx + 1). Friction is bounded by the contact forces themselves or, if given, by the normal forces
+    ``bound`` (2, ny + 1, nx + 1), mN.
     """
     nodes = problem.grid.nodes
     bottom = nodes[:, 0] + state.u[:, 0]
@@ -186,25 +229,23 @@ def linearise(
     spring = np.where(rigid, 0.0, slope * c / np.where(rigid, 1.0, other))
     off = np.zeros((2, 3, *c.shape))
 
-    w, _ = face_and_sides(slip, c.shape)
-    s = friction_direction(w)
+    s = friction_direction(slip)
     friction = np.asarray(problem.friction)[:, None, None]
     if bound is None:
-        carries = (reaction > 0)[:, None] * friction[:, None] * s
+        coupled = friction * (reaction > 0)
         traction = np.zeros_like(s)
-        hold = friction * np.maximum(reaction, normal) / problem.slip_length
+        most = friction * np.maximum(0.0, np.maximum(reaction, normal))
+        carried = coupled * reaction
     else:
-        carries = np.zeros_like(s)
-        traction = (friction * bound)[:, None] * s
-        hold = friction * bound / problem.slip_length
-    row = carries.copy()
+        coupled = np.zeros_like(reaction)
+        most = carried = friction * np.maximum(bound, 0.0)
+        traction = most[:, None] * s
+    row = coupled[:, None] * s
     push, area, missing = push_slope(top, problem.grid.areas, np.stack([hx, hy]))
-    row[SAMPLE] = push - carries[SAMPLE]
+    row[SAMPLE] = push - row[SAMPLE]
     column = np.zeros_like(row)
     column[SAMPLE] = hx, hy
 
-    along, _ = face_and_sides(direction, c.shape)
-    block = np.moveaxis(hold * friction_stiffness(w, along), 0, 1)
     pressed = np.maximum(normal[SAMPLE], 0.0)
     turning = np.zeros((*h.shape, 9, 2, 3))
     turning_stiffness(top, pressed / area, np.where(missing > 0, np.stack([hx, hy]), push), turning)
@@ -214,11 +255,9 @@ def linearise(
         if problem.glued[face]:
             off[face] = glued_displacement(problem, face, state.load) - state.u[:, k]
             violation[face] = c * np.linalg.norm(off[face], axis=0)
-            for nothing in (row, column, traction, spring):
+            for nothing in (row, column, traction, most, carried, coupled, spring):
                 nothing[face] = 0.0
             rigid[face] = True
-            # not part of the equations; it tells the linear solver that the face sticks
-            block[face] = STIFF * c * np.array([1.0, 0.0, 1.0])[:, None, None]
             if face == SAMPLE:
                 turning[:] = 0.0
     if problem.held_columns is not None:  # their contact is none of this problem's
@@ -231,7 +270,10 @@ def linearise(
         row,
         column,
         traction,
-        block,
+        slip,
+        most,
+        carried,
+        coupled,
         turning,
         spring,
         stiff,

@@ -110,14 +110,14 @@ def _pressure_blocks(system: NewtonSystem) -> tuple[sp.csr_matrix, sp.csr_matrix
     )
     # the lateral equations of both faces take in the vertical ones, and the vertical displacement
     # of the sample's face the lateral ones
-    contact, identity = system.contact, sp.eye_array(node.size)
-    rows_of, columns_of = identity, identity
+    rows_of = columns_of = sp.eye_array(node.size)
     for face, k in ((0, 0), (1, shape[0] - 1)):
         for c in range(2):
             here = node[c, k].ravel(), node[2, k].ravel()
-            rows_of = rows_of + sp.csr_matrix((contact.row[face, c].ravel(), here), (size[0],) * 2)
+            row = system.friction.row[face, c].ravel()
+            rows_of = rows_of + sp.csr_matrix((row, here), (size[0],) * 2)
             if face == 1:
-                slope = contact.column[face, c].ravel()
+                slope = system.contact.column[face, c].ravel()
                 columns_of = columns_of + sp.csr_matrix((slope, here[::-1]), (size[0],) * 2)
     free = sp.diags_array(system.free.ravel().astype(float))
     return sp.csr_matrix(free @ rows_of @ b), sp.csr_matrix(b.T @ columns_of @ free)

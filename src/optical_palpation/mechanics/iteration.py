@@ -70,12 +70,16 @@ class Iterate(Protocol):
     """A state and how far it is from equilibrium.
 
     ``imbalance`` is the 2-norm of all forces out of balance, mN, ``force_error`` its share of the
-    contact forces, ``volume_error`` the violation of J - 1 = p / K (root mean square),
+    contact forces, ``merit`` that norm without what goes where each node comes to rest alone, mN: a
+    node that slips the wrong way by next to nothing has all of its friction out of balance.
+    ``volume_error`` the violation of J - 1 = p / K (root mean square),
     ``min_jacobian`` the smallest J.
     """
 
     @property
     def imbalance(self) -> float: ...  # noqa: D102
+    @property
+    def merit(self) -> float: ...  # noqa: D102
     @property
     def force_error(self) -> float: ...  # noqa: D102
     @property
@@ -141,7 +145,7 @@ def iterate(
         When the iterations run out, or no step leads nearer to equilibrium.
     """
     errors: list[float] = []
-    imbalances: list[float] = []
+    merits: list[float] = []
     nearest, number = now, 0
     damping, krylov = 0.0, 0
     try:
@@ -149,7 +153,7 @@ def iterate(
             if on_iteration:
                 on_iteration(iteration, now, krylov)
             errors.append(now.force_error)
-            imbalances.append(now.imbalance)
+            merits.append(now.merit)
             if now.force_error < nearest.force_error:
                 nearest, number = now, iteration
             patience = tolerances.patience
@@ -168,13 +172,13 @@ def iterate(
                 # The first step crosses the new load and a damped one a snap: both may leave more
                 # out of balance than they found.
                 lenient = iteration == 0 or damping > 0
-                after = _search(now, step, max(imbalances[-_MEMORY:]), lenient)
+                after = _search(now, step, max(merits[-_MEMORY:]), lenient)
                 if after is not None:
                     break
                 damping = max(least_damping, 5.0 * damping)
             else:
                 raise NotConverged("no step leads nearer to equilibrium")
-            damping *= 0.5 * min(1.0, after.imbalance / now.imbalance)
+            damping *= 0.5 * min(1.0, after.merit / now.merit)
             if damping < 0.1 * least_damping:
                 damping = 0.0
             now = after
@@ -196,16 +200,13 @@ def _search(
 ) -> AnyIterate | None:
     """Take the largest fraction of a step that leads on; None if there is none.
 
-    What it leaves out of balance must be less than ``highest``, the more so the larger the
+    The merit that it leaves must be less than ``highest``, the more so the larger the
     fraction, or, where ``lenient``, less than twice that. Forces are compared, not shares of the
     contact forces: a step that takes these away would never lead on.
     """
     for fraction in (1.0, 0.5, 0.25, 0.125):
         after = step.follow(fraction)
         growth = 2.0 if lenient else 1 - 0.3 * fraction
-        if (
-            after.min_jacobian > _FLATTENING * now.min_jacobian
-            and after.imbalance < growth * highest
-        ):
+        if after.min_jacobian > _FLATTENING * now.min_jacobian and after.merit < growth * highest:
             return after
     return None

@@ -71,7 +71,7 @@ class MultigridSolver:
         self.weight = f32(self.shear_modulus + system.gamma) / np.cbrt(volume)
         self.schur.prepare(volume, system.bulk_modulus, system.flow is not None)
         contact = system.contact
-        stiffness = _of_elements(contact.block[:, [2, 0]] / self.areas)
+        stiffness = _of_elements(system.friction.block[:, [2, 0]] / self.areas)
         touching = _of_elements(np.where(contact.rigid, 1.0, contact.spring > self.springs))
         self.lubrication.prepare(stiffness, touching, system.bulk_modulus)
         # The uniform pressure is the mode that cosine modes miss most (a layer with nowhere to go

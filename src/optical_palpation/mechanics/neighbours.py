@@ -81,7 +81,7 @@ class Neighbours:
         solver = self._solver
         first, *others = self.problems
         try:
-            now, _ = equilibrate(first, trials[0], solver, _TOLERANCES, near=True)
+            now, _ = equilibrate(first, trials[0], solver, _TOLERANCES)
             shifted = [_shifted(now.state, trials[0], trial) for trial in trials[1:]]
             system = assemble(first, now, solver)
             near = [
@@ -91,7 +91,7 @@ class Neighbours:
             self.states = [now.state]
             for problem, trial, state in zip(others, shifted, near, strict=True):
                 if state is None:  # its own tangents lead further
-                    state = equilibrate(problem, trial, solver, _TOLERANCES, near=True)[0].state
+                    state = equilibrate(problem, trial, solver, _TOLERANCES)[0].state
                 self.states.append(state)
         except NotConverged as failure:
             self.stop(f"a slightly different layer {LoadNotReached(trials[0].load, str(failure))}")

@@ -9,11 +9,11 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .contact import ContactLinearisation, linearise, remember_slip, slip_coordinate
+from .contact import ContactLinearisation, FaceFriction, linearise, remember_slip, slip_coordinate
 from .direct import DirectSolver, direct_solver
 from .elimination import Box, part, put_back, unbalanced_columns
-from .friction import direction_step, friction_direction
-from .grid import contact_nodes, face_and_sides
+from .friction import Ahead
+from .grid import face_and_sides
 from .iteration import DAMPING, Direction, HardSystem, NotConverged, Tolerances, iterate, met
 from .krylov import MultigridSolver
 from .path import Drag, LoadNotReached, Path
@@ -116,7 +116,7 @@ CARRIED = Due(2, 1, 0.1, 0.06, 8, carried=True)
 class Balance:
     """Internal forces, volumes and contact of a state, and how far it is from equilibrium.
 
-    ``direction`` is that of friction, an unknown of its own, ``drag`` what resists the state.
+    ``drag`` is what resists the state.
     ``force`` are the internal nodal forces (x, y, z), with what else holds the layer but for the
     faces (drag, cut sides, ``sides``), ``residual`` what is out of balance of the equations in
     contact coordinates, both (3, nz + 1, ny + 1, nx + 1), mN. ``imbalance`` is the
@@ -124,7 +124,6 @@ class Balance:
     """
 
     state: LayerState
-    direction: Array
     drag: Drag[LayerState] | None
     force: Array
     residual: Array
@@ -134,6 +133,9 @@ class Balance:
     flow: SideFlow | None
     contact: ContactLinearisation
     sides: SideContact
+    friction: FaceFriction
+    side_friction: Ahead | None
+    merit: float
     min_jacobian: float
     imbalance: float
     force_error: float
@@ -141,10 +143,7 @@ class Balance:
 
 
 def balance(
-    problem: LayerProblem,
-    state: LayerState,
-    direction: Array | None = None,
-    drag: Drag[LayerState] | None = None,
+    problem: LayerProblem, state: LayerState, drag: Drag[LayerState] | None = None
 ) -> Balance:
     """Evaluate equilibrium, incompressibility and contact at a state (see ``linearise``)."""
     body = problem.body.forces(state.u, state.p)
@@ -154,11 +153,8 @@ def balance(
     if problem.border is not None:
         problem.border.add_resistance(state.u, force)
     w = slip_coordinate(problem, state)
-    if direction is None:
-        direction = friction_direction(w)
-    _, slip = face_and_sides(w, problem.grid.node_shape[1:])
-    _, along = face_and_sides(direction, problem.grid.node_shape[1:])
-    sides = side_contact(problem, state, (slip, along))
+    slip, slip_of_sides = face_and_sides(w, problem.grid.node_shape[1:])
+    sides = side_contact(problem, state, slip_of_sides)
     force[:, *sides.nodes] += sides.force
     glued = list(problem.glued)
     if any(glued):
@@ -166,7 +162,7 @@ def balance(
         held[glued] = np.stack([force[2, 0], -force[2, -1]])[glued]
         state = replace(state, normal_force=held)
     bound = None if drag is None else np.stack(drag.bound)
-    contact = linearise(problem, state, force, w, direction, bound)
+    contact = linearise(problem, state, force, slip, bound)
     out = force.copy()
     for face, k, sign in ((WINDOW, 0, -1.0), (SAMPLE, -1, 1.0)):
         out[:2, k] += contact.row[face] * force[2, k] + contact.traction[face]
@@ -174,10 +170,19 @@ def balance(
         if problem.glued[face]:
             out[:, k] = 0.0
     problem.hold_sides(out, 0.0)
-    imbalance = float(np.hypot(np.linalg.norm(out), np.linalg.norm(contact.violation)))
+    violation = np.linalg.norm(contact.violation)
+    imbalance = float(np.hypot(np.linalg.norm(out), violation))
+    bound = np.zeros(problem.grid.node_shape)
+    bound[[0, -1]] = contact.carried
+    bound[sides.nodes] += sides.bound.sum(0)
+    friction, side_friction = contact.friction(problem, out, bound), sides.friction(out, bound)
+    eased = out.copy()
+    eased[:2, [0, -1]] += np.moveaxis(friction.turned, 0, 1)
+    if side_friction is not None:
+        eased[:2, *sides.nodes] += sides.turned(side_friction)
+    problem.hold_sides(eased, 0.0)
     return Balance(
         state=state,
-        direction=direction,
         drag=drag,
         force=force,
         residual=out,
@@ -187,6 +192,9 @@ def balance(
         flow=body.flow,
         contact=contact,
         sides=sides,
+        friction=friction,
+        side_friction=side_friction,
+        merit=float(np.hypot(np.linalg.norm(eased), violation)),
         min_jacobian=body.min_jacobian,
         imbalance=imbalance,
         force_error=imbalance / max(_force_scale(problem, state), 1e-30),
@@ -239,10 +247,6 @@ def _direction(
     change = system.contact_forces(now.force, du, dp) - state.normal_force
     if problem.held_columns is not None:
         change[:, problem.held_columns] = 0.0
-    slip_step = contact_nodes(step[:2].astype(float)) / problem.slip_length
-    w = slip_coordinate(problem, state)
-    turn = direction_step(w, now.direction, slip_step)
-    turning = (w * (w + slip_step)).sum(1) < 0
 
     def follow(fraction: float) -> Balance:
         trial = replace(
@@ -251,11 +255,7 @@ def _direction(
             p=state.p + fraction * dp,
             normal_force=state.normal_force + fraction * change,
         )
-        turned = now.direction + fraction * turn
-        turned /= np.maximum(1.0, np.sqrt((turned**2).sum(1, keepdims=True)))
-        if fraction < 1.0:
-            turned = np.where(turning[:, None], 0.0, turned)
-        return balance(problem, trial, turned, now.drag)
+        return balance(problem, trial, now.drag)
 
     return Direction(follow, krylov)
 
@@ -317,7 +317,7 @@ class _Elimination:
             state = self._solved(solved.state, box, now.imbalance / now.force_error)
             if state is solved.state:
                 continue
-            trial = balance(self.problem, state, None, self.drag)
+            trial = balance(self.problem, state, self.drag)
             if trial.min_jacobian > 0 and trial.imbalance < _PUSHED * now.imbalance:
                 solved = trial
         if solved is now:
@@ -337,7 +337,7 @@ class _Elimination:
         if drag is not None:
             origin = part(self.problem, drag.origin, box)[1]
             drag = Drag(drag.viscosity, origin, [bound[box] for bound in drag.bound])
-        now = balance(problem, own, None, drag)
+        now = balance(problem, own, drag)
         if now.imbalance < _KEEP * self.tolerances.force * scale:
             return state
         # the whole layer's forces are what errors are compared with
@@ -356,7 +356,7 @@ class _Elimination:
         iterative = MultigridSolver(problem.grid, problem.shear_modulus, free)
         solver = Solvers(iterative, direct_solver(problem))
         try:
-            found = equilibrate(problem, own, solver, wanted, drag=drag, near=True)[0].state
+            found = equilibrate(problem, own, solver, wanted, drag=drag)[0].state
         except NotConverged:
             if drag is not None or not self.due.carried:
                 return state
@@ -376,13 +376,11 @@ def equilibrate(
     tolerances: Tolerances,
     on_iteration: Callable[[int, Balance, int], None] | None = None,
     drag: Drag[LayerState] | None = None,
-    near: bool = False,
     eliminate: Due | None = None,
 ) -> tuple[Balance, int]:
     """Bring a state into equilibrium at its load, ``drag`` included.
 
-    Friction first points where it did at the last load or, of a state ``near`` equilibrium, where
-    the slip of the state itself does. Where a few columns keep the layer from equilibrium they are
+    Where a few columns keep the layer from equilibrium they are
     solved alone when they are due, to ``eliminate`` them.
 
     Returns
@@ -410,8 +408,7 @@ def equilibrate(
     if eliminate and problem.border is None:
         columns = _Elimination(problem, tolerances, drag, eliminate)
     with threads_for(problem.grid.node_shape):
-        first = None if near else friction_direction(state.slip)
-        start = balance(problem, state, first, drag)
+        start = balance(problem, state, drag)
         return iterate(start, step, tolerances, least, on_iteration, columns)
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .faces import add_blocks
-from .friction import friction_direction, friction_stiffness
+from .friction import Ahead, friction_direction, look_ahead, node_stiffness
 from .grid import LayerGrid
 
 if TYPE_CHECKING:
@@ -106,15 +106,11 @@ class Facets:
 
 
 @dataclass(frozen=True, eq=False)
-class SideContact:
-    """What window and imprint do to the sides, and how it changes.
+class SideTangent:
+    """How what presses the sides changes.
 
     Attributes
     ----------
-    normal_force
-        Vertical, compression positive, on the ``LayerGrid.side_nodes``, (2, n), mN.
-    force
-        What the nodes must balance, friction included, (3, n), mN.
     blocks
         Stiffness between the corners a and b of those ``facets`` that touch, (3, 3, 4, 4, m),
         mN / mm.
@@ -122,15 +118,17 @@ class SideContact:
         Indices (k, j, i) of their corners, (3, 4, m).
     hold
         Stiffness of friction at the nodes (xx, xy, yx, yy), (2, 2, n), mN / mm.
+    change
+        What friction (x, y) is to begin with beyond that of the state (``friction.look_ahead``),
+        (2, n), mN.
     nodes
         The ``LayerGrid.side_nodes``.
     """
 
-    normal_force: Array
-    force: Array
     blocks: Array
     facets: Indices
     hold: Array
+    change: Array
     nodes: tuple[Indices, Indices, Indices]
 
     def add_stiffness(self, plane: NDArray[np.floating], k: int) -> None:
@@ -141,17 +139,88 @@ class SideContact:
             plane[self.nodes[1][here], 13, 3 * c + d, self.nodes[2][here]] += self.hold[c, d, here]
 
 
+@dataclass(frozen=True, eq=False)
+class SideContact:
+    """What window and imprint do to the sides.
+
+    Attributes
+    ----------
+    normal_force
+        Vertical, compression positive, on the ``LayerGrid.side_nodes``, (2, n), mN.
+    force
+        What the nodes must balance, friction included, (3, n), mN.
+    nodes
+        The ``LayerGrid.side_nodes``.
+    """
+
+    normal_force: Array
+    force: Array
+    nodes: tuple[Indices, Indices, Indices]
+    _touch: _Touch
+    _corners: _Corners
+    _rubs: Array
+    _slip: Array | None
+    _elastic: float
+    _slip_length: float
+
+    @property
+    def bound(self) -> Array:
+        """The bound of friction at each node, (surfaces, n), mN."""
+        return self._rubs[:, None] * self.normal_force
+
+    def friction(self, residual: Array, whole: Array) -> Ahead | None:
+        """Linearise friction; for ``residual`` and ``whole`` see ``ContactLinearisation``.
+
+        None where there is none.
+        """
+        if self._slip is None or not self._touch.corners.size:
+            return None
+        share = self.bound / np.maximum(whole[self.nodes], 1e-300)
+        share[self.bound == 0] = 1.0
+        lateral = share[:, None] * residual[:2, *self.nodes]
+        elastic = share * self._elastic * self._slip_length
+        return look_ahead(self._slip, lateral, elastic, self.bound)
+
+    def turned(self, ahead: Ahead) -> Array:
+        """What friction (x, y) will be beyond that of the state, (2, n), mN."""
+        assert self._slip is not None
+        return (self.bound[:, None] * (ahead.direction - friction_direction(self._slip))).sum(0)
+
+    def tangent(self, ahead: Ahead | None) -> SideTangent:
+        """Linearise it, friction where it will be."""
+        touch, corners, rubs = self._touch, self._corners, self._rubs[:, None]
+        g = touch.gradient
+        stiffness = (touch.stiffness[:, None, None] * g[:, :, None] * g[:, None, :]).sum(0)
+        stiffness[:2, :2] -= touch.force[-1] * touch.curvature
+        blocks = corners.between(stiffness)
+        hold, change = np.zeros((2, 2, self.nodes[0].size)), np.zeros((2, self.nodes[0].size))
+        if ahead is not None:
+            bound = self.bound[:, None]
+            # of the normal force of corner a by the displacement d of corner b
+            pressed = corners.between(touch.stiffness[:, None] * g)
+            along = (rubs[:, None] * ahead.direction)[:, :, corners.number]
+            blocks[:2] += (along[:, :, None, :, None] * pressed[:, None]).sum(0)
+            xx, xy, yy = (bound * ahead.slope).sum(0) / self._slip_length
+            hold = np.array([[xx, xy], [xy, yy]])
+            change = (bound * ahead.change).sum(0)
+        return SideTangent(blocks, touch.corners, hold, change, self.nodes)
+
+
 def side_contact(
-    problem: LayerProblem, state: LayerState, friction: tuple[Array, Array] | None = None
+    problem: LayerProblem, state: LayerState, slip: Array | None = None
 ) -> SideContact:
     """Contact of the free sides with window and imprint at ``state``.
 
-    ``friction`` are the slip w and the unknown s of the side nodes, (2, 2, n); without them there
-    is no friction in what is returned.
+    ``slip`` is the w of the side nodes, (2, 2, n); without it there is no friction in what is
+    returned.
     """
     rubs = np.where(problem.glued, 0.0, problem.friction)
     touch = _touching(problem, state)
-    return _contact(problem.grid, problem.side_facets, touch, rubs, problem.slip_length, friction)
+    height = problem.grid.spacing[0]
+    elastic = float(node_stiffness(problem.shear_modulus, height**2))
+    return _contact(
+        problem.grid, problem.side_facets, touch, rubs, problem.slip_length, elastic, slip
+    )
 
 
 def _touching(problem: LayerProblem, state: LayerState) -> _Touch:
@@ -205,12 +274,10 @@ class PlaneSides:
     friction: float
     flattened: float
 
-    def contact(
-        self, u: Array, height: float, slip_length: float, friction: tuple[Array, Array]
-    ) -> SideContact:
+    def contact(self, u: Array, height: float, slip_length: float, slip: Array) -> SideContact:
         """Contact with the plane z = ``height`` at a displacement, as ``side_contact``.
 
-        ``u`` (3, nz + 1, ny + 1, nx + 1), mm; ``friction``: w and s of the side nodes, (1, 2, n).
+        ``u`` (3, nz + 1, ny + 1, nx + 1), mm; ``slip``: w of the side nodes, (1, 2, n).
         """
         grid, facets, sign = self.body.grid, self.facets, self.sign
         outermost = outermost_height(grid)[0 if sign < 0 else 1]
@@ -234,7 +301,8 @@ class PlaneSides:
             np.zeros((2, 2, *z.shape)),
         )
         rubs = np.array([self.friction])
-        return _contact(grid, facets, touch, rubs, slip_length, friction)
+        elastic = float(node_stiffness(self.body.law.shear_modulus, grid.spacing[0] ** 2))
+        return _contact(grid, facets, touch, rubs, slip_length, elastic, slip)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,50 +343,54 @@ def _touch(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Corners:
+    """From the integration points of facets to their corners.
+
+    ``shape`` are the shape functions (points, 4), ``number`` (4, m) which of ``count`` side nodes
+    the corners are.
+    """
+
+    shape: Array
+    number: Indices
+    count: int
+
+    def sums(self, values: Array) -> Array:
+        """Sums at each node of values (..., points, m) on the facets."""
+        corners = np.tensordot(self.shape, values, (0, -2))
+        out = np.zeros((*values.shape[:-2], self.count))
+        for at in np.ndindex(values.shape[:-2]):
+            out[at] = np.bincount(self.number.ravel(), corners[:, *at].ravel(), self.count)
+        return out
+
+    def between(self, values: Array) -> Array:
+        """The stiffness (..., a, b, m) of values (..., points, m)."""
+        pairs = self.shape[:, :, None] * self.shape[:, None, :]
+        return np.moveaxis(np.tensordot(values, pairs, (-2, 0)), -3, -1)
+
+
 def _contact(
     grid: LayerGrid,
     facets: Facets,
     touch: _Touch,
     rubs: Array,
     slip_length: float,
-    friction: tuple[Array, Array] | None,
+    elastic: float,
+    slip: Array | None,
 ) -> SideContact:
-    """Forces and stiffness at the nodes; ``rubs`` is the friction of each surface, (surfaces,)."""
-    nodes, shape = grid.side_nodes, facets.shape
-    number = _numbers(grid, touch.corners)
-    pairs = shape[:, :, None] * shape[:, None, :]
+    """Forces at the nodes.
 
-    def at_nodes(values: Array) -> Array:
-        """Sums at each node of values (..., points, m) on the facets."""
-        corners = np.tensordot(shape, values, (0, -2))
-        out = np.zeros((*values.shape[:-2], nodes[0].size))
-        for at in np.ndindex(values.shape[:-2]):
-            weights = corners[:, *at].ravel()
-            out[at] = np.bincount(number.ravel(), weights, nodes[0].size)
-        return out
-
-    def between_corners(values: Array) -> Array:
-        """The stiffness (..., a, b, m) of values (..., points, m)."""
-        return np.moveaxis(np.tensordot(values, pairs, (-2, 0)), -3, -1)
-
-    g = touch.gradient
-    normal = at_nodes(touch.force)
-    force = at_nodes((touch.force[:, None] * g).sum(0))
-    stiffness = (touch.stiffness[:, None, None] * g[:, :, None] * g[:, None, :]).sum(0)
-    stiffness[:2, :2] -= touch.force[-1] * touch.curvature
-    blocks = between_corners(stiffness)
-    hold = np.zeros((2, 2, nodes[0].size))
-    if friction is not None and number.size:
-        w, direction = friction
-        s = friction_direction(w)
-        force[:2] += ((rubs[:, None] * normal)[:, None] * s).sum(0)
-        # of the normal force of corner a by the displacement d of corner b
-        change = between_corners(touch.stiffness[:, None] * g)
-        along = (rubs[:, None, None] * s)[:, :, number]
-        blocks[:2] += (along[:, :, None, :, None] * change[:, None]).sum(0)
-        xx, xy, yy = rubs[:, None] * normal / slip_length * friction_stiffness(w, direction)
-        hold = np.array([[xx, xy], [xy, yy]]).sum(2)
-    return SideContact(normal, force, blocks, touch.corners, hold, nodes)
+    ``rubs`` is the friction of each surface, (surfaces,); ``elastic``, mN / mm, how a node resists
+    being moved sideways.
+    """
+    nodes = grid.side_nodes
+    corners = _Corners(facets.shape, _numbers(grid, touch.corners), nodes[0].size)
+    normal = corners.sums(touch.force)
+    force = corners.sums((touch.force[:, None] * touch.gradient).sum(0))
+    if slip is not None and touch.corners.size:
+        rubbing = (rubs[:, None] * normal)[:, None] * friction_direction(slip)
+        force[:2] += rubbing.sum(0)
+    return SideContact(normal, force, nodes, touch, corners, rubs, slip, elastic, slip_length)
 
 
 def _numbers(grid: LayerGrid, indices: Indices) -> Indices:

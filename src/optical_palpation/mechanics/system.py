@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from optical_palpation.parallel import in_parallel
 
-from .contact import ContactLinearisation
+from .contact import ContactLinearisation, FaceFriction
 from .lanes import FAST
 from .problem import SAMPLE, WINDOW, LayerProblem
+from .side_contact import SideTangent
 from .side_flow import SideFlow
 from .stencil import constrain
 
@@ -64,6 +65,8 @@ class NewtonSystem:
     stencil: Any
     divergence: Vector
     contact: ContactLinearisation
+    friction: FaceFriction
+    sides: SideTangent
     free: NDArray[np.bool_]
     volume: Array
     flow: SideFlow | None
@@ -82,6 +85,9 @@ class NewtonSystem:
         residual = now.force.copy()
         for face, k in ((WINDOW, 0), (SAMPLE, -1)):
             residual[:2, k] += now.contact.row[face] * now.force[2, k] + now.contact.traction[face]
+        if now.contact is self.contact:  # else friction of a state near this one, as it is there
+            residual[:2, [0, -1]] += np.moveaxis(self.friction.change, 0, 1)
+            residual[:2, *self.sides.nodes] += self.sides.change
         residual[2, [0, -1]] -= load
         for (face, k), columns in self.face_columns.items():
             for c in range(-columns.shape[3], 0):
@@ -133,7 +139,7 @@ class NewtonSystem:
     def combine_rows(self, force: Vector) -> Vector:
         """Equations in contact coordinates of a Cartesian nodal force (in place)."""
         for face, k in ((WINDOW, 0), (SAMPLE, -1)):
-            force[:2, k] += self.contact.row[face].astype(force.dtype) * force[2, k]
+            force[:2, k] += self.friction.row[face].astype(force.dtype) * force[2, k]
         return force
 
 
@@ -161,6 +167,8 @@ def assemble(
         stencil=solver.stencil,
         divergence=divergence,
         contact=contact,
+        friction=now.friction,
+        sides=now.sides.tangent(now.side_friction),
         free=free,
         volume=now.volume_ref,
         flow=None if now.flow is None else now.flow.astype(solver.dtype),
@@ -180,12 +188,12 @@ def assemble(
             diagonal[:, [0, 4, 8]] += (damping * grid.node_volumes[k])[:, None]
         if problem.border is not None:
             problem.border.add_stiffness(plane, k, sides)
-        now.sides.add_stiffness(plane, k)
+        system.sides.add_stiffness(plane, k)
         if k == 0 or k >= nz1 - 2:  # the face of the sample has neighbours in the plane below it
-            _to_contact_frame(plane, k, nz1, contact.row, contact.column, contact.turning)
+            _to_contact_frame(plane, k, nz1, system.friction.row, contact.column, contact.turning)
         for face, there in faces:
             if k == there:
-                block = contact.block[face]
+                block = system.friction.block[face]
                 for entry, stiffness in (
                     (0, block[0]),
                     (1, block[1]),

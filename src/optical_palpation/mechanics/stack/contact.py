@@ -2,7 +2,7 @@
 
 They are those of the layer's own solver (``mechanics.contact``): the law of contact N = S(N +
 c phi) with the vertical force N as unknown, and Coulomb's smoothed law in the x-y plane, linearised
-with its direction as an unknown of its own. The slip since the last load is that from the point of
+where a slave would come to rest alone. The slip since the last load is that from the point of
 the master the slave was at.
 """
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .. import friction as law
 from ..contact import STIFF, smooth_maximum
 from ..faces import area_vectors
-from ..friction import direction_step, friction_direction, friction_stiffness
+from ..friction import friction_direction, look_ahead
 from .linear import Coupling, Surface
 from .projection import Projection
 
@@ -45,13 +45,29 @@ class ContactState:
 
 
 @dataclass(frozen=True, eq=False)
+class ContactFriction:
+    """Friction of the slaves of a contact, linearised.
+
+    ``sliding`` (n, 2) is what follows N, as a share of N, ``traction`` (n, 2), mN, what is given;
+    ``stiffness`` (n, 2, 2), mN / mm, ``change`` (n, 2), mN, what it is to begin with beyond that of
+    the state, ``turned`` what it will be beyond that where each slave comes to rest alone.
+    """
+
+    sliding: Array
+    traction: Array
+    stiffness: Array
+    change: Array
+    turned: Array
+
+
+@dataclass(frozen=True, eq=False)
 class ContactTerms:
     """A linearised contact.
 
     ``residual`` (n, q, 3): nodal forces to add to the internal ones, mN; ``violation`` (n) of the
     law of contact, mN. A step changes N by ``spring`` d phi - ``jump``, but where ``rigid`` phi
-    changes by ``step``. ``sliding`` (n, 2) is the friction at the present N, as a share of N, and
-    ``slip`` (n, 2) the w of its law; ``traction`` (n, 2), mN, is friction of a bound that is given.
+    changes by ``step``. ``slip`` (n, 2) is the w of the law of friction, ``bound`` its mu N, (n),
+    mN: of that ``coupled`` times N follows N, and ``given``, mN, does not.
     """
 
     projection: Projection
@@ -62,24 +78,45 @@ class ContactTerms:
     jump: Array
     rigid: NDArray[np.bool_]
     step: Array
-    sliding: Array
-    traction: Array
     slip: Array
-    friction_stiffness: Array
+    bound: Array
+    coupled: float
+    given: Array
 
-    @property
-    def rows(self) -> Array:
-        """What a unit of N puts on the nodes (n, q, 3)."""
-        projection = self.projection
-        rows = -projection.weights[:, :, None] * projection.push[:, None, :]
-        rows[:, :, :2] += projection.weights[:, :, None] * self.sliding[:, None, :]
-        return rows
+    def friction(
+        self, residual: Array, whole: Array, elastic: Array, slip_length: float
+    ) -> ContactFriction:
+        """Linearise friction (``friction.look_ahead``).
 
-    def turn(self, du: Array, direction: Array, slip_length: float) -> Array:
-        """Change of the direction of friction (n, 2) for a step (n_nodes, 3)."""
-        return direction_step(self.slip, direction, self.state.anchor.lateral(du) / slip_length)
+        ``residual`` (n_nodes, 3) is what is out of balance, mN, ``whole`` (n_nodes), mN, the bound
+        of all friction at a node, of which each takes its share; ``elastic`` (n), mN / mm, how the
+        slaves resist being moved sideways.
+        """
+        slaves = self.projection.nodes[:, 0]
+        share = np.where(self.bound == 0, 1.0, self.bound / np.maximum(whole[slaves], 1e-300))
+        w, lateral = self.slip.T[None], (share[:, None] * residual[slaves, :2]).T[None]
+        ahead = look_ahead(w, lateral, (share * elastic * slip_length)[None], self.bound[None])
+        xx, xy, yy = self.bound / slip_length * ahead.slope[0]
+        return ContactFriction(
+            sliding=self.coupled * ahead.direction[0].T,
+            traction=self.given[:, None] * ahead.direction[0].T,
+            stiffness=np.moveaxis(np.array([[xx, xy], [xy, yy]]), 2, 0),
+            change=self.bound[:, None] * ahead.change[0].T,
+            turned=self.bound[:, None] * (ahead.direction - friction_direction(w))[0].T,
+        )
 
-    def surface(self, shape: tuple[int, int]) -> Surface:
+    def rows(self, sliding: Array) -> Array:
+        """What a unit of N puts on the nodes (n, q, 3), with ``sliding`` as friction."""
+        rows = -self.projection.weights[:, :, None] * self.projection.push[:, None, :]
+        return rows + self.along(sliding)
+
+    def along(self, friction: Array) -> Array:
+        """What lateral forces on the slaves (n, 2) put on the nodes (n, q, 3)."""
+        out = np.zeros((*self.projection.nodes.shape, 3))
+        out[:, :, :2] = self.projection.weights[:, :, None] * friction[:, None, :]
+        return out
+
+    def surface(self, shape: tuple[int, int], friction: ContactFriction) -> Surface:
         """Return the contact as the linear solver takes it; ``shape`` is that of the slaves."""
         push, direction = self.projection.push, self.projection.direction
 
@@ -87,16 +124,18 @@ class ContactTerms:
             return np.moveaxis(values, 0, -1).reshape(*values.shape[1:], *shape)
 
         return Surface(
-            row=on_face((self.sliding - push[:, :2]) / push[:, 2:]),
+            row=on_face((friction.sliding - push[:, :2]) / push[:, 2:]),
             column=on_face(-direction[:, :2] / direction[:, 2:]),
-            friction=on_face(self.friction_stiffness),
+            friction=on_face(friction.stiffness),
             spring=on_face(self.spring * push[:, 2] * direction[:, 2]),
             load=on_face(self.jump * push[:, 2]),
             rigid=on_face(self.rigid),
             step=on_face(-self.step / direction[:, 2]),
         )
 
-    def coupling(self, slaves: Numbers, master: Numbers, position: Array) -> Coupling:
+    def coupling(
+        self, slaves: Numbers, master: Numbers, position: Array, friction: ContactFriction
+    ) -> Coupling:
         """Return the contact with the surface of another body as the linear solver takes it."""
         projection = self.projection
         anchor, first = self.state.anchor, master.flat[0]
@@ -108,12 +147,12 @@ class ContactTerms:
 
         normal = np.maximum(self.state.force, 0.0)[:, None]
         force = normal * projection.push
-        force[:, :2] -= normal * self.sliding + self.traction
+        force[:, :2] -= normal * friction.sliding + friction.traction
         area = area_vectors(np.moveaxis(position[master], -1, 0))
         assert projection.turning is not None
         assert projection.neighbours is not None
         return Coupling(
-            surface=self.surface(slaves.shape),
+            surface=self.surface(slaves.shape, friction),
             weights=matrix(projection, -projection.weights[:, 1:]),
             gradient=(
                 matrix(projection, projection.gradient[:, 1:, 0]),
@@ -152,13 +191,12 @@ def linearise(
     scale: Array,
     smoothing: Array,
     slip_length: float,
-    direction: Array | None = None,
     bound: Array | None = None,
 ) -> ContactTerms:
     """Linearise a contact; ``scale`` c and ``smoothing`` eps of its law are per slave.
 
-    ``direction`` is that of friction, by default the one that belongs to the slip. Friction is
-    bounded by the contact forces themselves or, if given, by the normal forces ``bound`` (n), mN.
+    Friction is bounded by the contact forces themselves or, if given, by the normal forces
+    ``bound`` (n), mN.
     """
     normal = state.force
     t = normal + scale * projection.penetration
@@ -170,10 +208,6 @@ def linearise(
 
     w = friction_memory(state, position, slip_length)
     s = friction_direction(w)
-    xx, xy, yy = friction_stiffness(w, s if direction is None else direction)
-    turned = np.moveaxis(np.array([[xx, xy], [xy, yy]]), 2, 0)
-    stiff = friction * (np.maximum(normal, 0.0) if bound is None else bound) / slip_length
-    given = np.zeros_like(normal) if bound is None else bound
     terms = ContactTerms(
         projection=projection,
         state=state,
@@ -183,14 +217,13 @@ def linearise(
         jump=np.where(rigid, 0.0, violation / other),
         rigid=rigid,
         step=np.where(rigid, violation / (np.where(rigid, slope, 1.0) * scale), 0.0),
-        sliding=friction * s if bound is None else np.zeros_like(s),
-        traction=friction * given[:, None] * s,
         slip=w,
-        friction_stiffness=stiff[:, None, None] * turned,
+        bound=friction * np.maximum(normal if bound is None else bound, 0.0),
+        coupled=friction if bound is None else 0.0,
+        given=np.zeros_like(normal) if bound is None else friction * np.maximum(bound, 0.0),
     )
-    residual = terms.rows * normal[:, None, None]
-    residual[:, :, :2] += projection.weights[:, :, None] * terms.traction[:, None, :]
-    return replace(terms, residual=residual)
+    residual = terms.rows(terms.coupled * s) * normal[:, None, None]
+    return replace(terms, residual=residual + terms.along(terms.given[:, None] * s))
 
 
 def touching(projection: Projection, state: ContactState, scale: Array) -> NDArray[np.bool_]:

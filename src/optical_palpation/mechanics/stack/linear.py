@@ -29,7 +29,7 @@ from ..body import Body
 from ..krylov import gmres
 from ..multigrid import Hierarchy
 from ..schur import SchurComplement
-from ..side_contact import SideContact
+from ..side_contact import SideTangent
 from ..stencil import (
     constrain,
     empty_stencil,
@@ -106,7 +106,7 @@ class BodyEquations:
     p: Array
     residual: Array
     diagonal: Array
-    sides: SideContact
+    sides: SideTangent
     volume_residual: Array
     volume: Array
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from ..body import ElementForces
 from ..contact import SMOOTHING
-from ..friction import direction_step, friction_direction
+from ..friction import Ahead
 from ..iteration import DAMPING, Direction, HardSystem, Tolerances, iterate
 from ..path import Drag
-from ..side_contact import SideContact
-from .contact import ContactTerms, friction_memory, linearise, remembered
+from ..side_contact import SideContact, SideTangent
+from .contact import ContactFriction, ContactTerms, linearise, remembered
 from .linear import BodyEquations, StackEquations, StackSolver
 from .problem import LAYER, PLATE, SAMPLE, WINDOW, Stack, State
 from .projection import Interface, Plane
@@ -31,31 +31,36 @@ _HOLD = 1e-3
 class Balance:
     """Internal forces and contact of a state, and how far it is from equilibrium.
 
-    ``directions`` are those of friction, unknowns of their own (see ``linearise``): of the
-    contacts, (n, 2), and of the ``sides`` of both bodies, (1, 2, n). ``drag`` is what resists it.
+    ``sides`` are those of both bodies, ``drag`` is what resists the state.
     ``residual`` (n_nodes, 3) are the nodal forces out of balance, mN, ``imbalance`` the 2-norm of
     these and of the violations of the laws of contact, mN; ``force_error`` its share of the contact
     forces.
     """
 
     state: State
-    directions: Sequence[Array]
     drag: Drag[State] | None
     bodies: list[ElementForces]
     terms: list[ContactTerms]
     sides: list[SideContact]
+    frictions: list[ContactFriction]
+    side_frictions: list[Ahead | None]
     residual: Array
     imbalance: float
+    merit: float
     force_error: float
     volume_error: float
     min_jacobian: float
+
+    def side_tangents(self) -> list[SideTangent]:
+        """What presses the sides of both bodies, linearised."""
+        each = zip(self.sides, self.side_frictions, strict=True)
+        return [side.tangent(friction) for side, friction in each]
 
 
 def balance(
     stack: Stack,
     state: State,
     smoothing: float = SMOOTHING,
-    directions: Sequence[Array] | None = None,
     drag: Drag[State] | None = None,
 ) -> Balance:
     """Evaluate equilibrium, incompressibility and contact of a state (see ``linearise``)."""
@@ -64,13 +69,7 @@ def balance(
         for body, u, p in zip(stack.bodies, stack.split(state.u), state.p, strict=True)
     ]
     position = stack.position(state.u)
-    if directions is None:
-        directions = [
-            friction_direction(friction_memory(contact, position, stack.slip_length))
-            for contact in state.contacts
-        ]
-        directions += [friction_direction(w) for w in stack.side_slip(state)]
-    sides = stack.side_contacts(state, directions[len(state.contacts) :])
+    sides = stack.side_contacts(state)
     bounds = [None] * len(state.contacts) if drag is None else drag.bound
     terms = [
         linearise(
@@ -81,16 +80,14 @@ def balance(
             scale,
             smoothing * stack.shear_modulus * area,
             stack.slip_length,
-            direction,
             bound,
         )
-        for contact, projection, own, scale, area, direction, bound in zip(
+        for contact, projection, own, scale, area, bound in zip(
             list[Plane | Interface](stack.contacts),
             stack.project(position, state.load),
             state.contacts,
             stack.scales,
             stack.areas,
-            directions[: len(state.contacts)],
             bounds,
             strict=True,
         )
@@ -102,6 +99,13 @@ def balance(
         out += drag.viscosity * stack.node_volumes[:, None] * (state.u - drag.origin.u)
     for term in terms:
         np.add.at(out, term.projection.nodes, term.residual)
+    frictions, side_frictions = _frictions(stack, terms, sides, out)
+    eased = out.copy()
+    for term, friction in zip(terms, frictions, strict=True):
+        np.add.at(eased, term.projection.nodes, term.along(friction.turned))
+    for side, ahead, own in zip(sides, side_frictions, stack.nodal(eased), strict=True):
+        if ahead is not None:
+            own[*side.nodes, :2] += side.turned(ahead).T
     scale = max(float(np.linalg.norm(np.concatenate(state.forces))), 1e-30)
     violation = np.linalg.norm(np.concatenate([term.violation for term in terms]))
     imbalance = float(np.hypot(np.linalg.norm(out), violation))
@@ -110,17 +114,37 @@ def balance(
     )
     return Balance(
         state=state,
-        directions=directions,
         drag=drag,
         bodies=parts,
         terms=terms,
         sides=sides,
+        frictions=frictions,
+        side_frictions=side_frictions,
         residual=out,
         imbalance=imbalance,
+        merit=float(np.hypot(np.linalg.norm(eased), violation)),
         force_error=imbalance / scale,
         volume_error=float(np.sqrt(np.mean(volume**2))),
         min_jacobian=min(part.min_jacobian for part in parts),
     )
+
+
+def _frictions(
+    stack: Stack, terms: list[ContactTerms], sides: list[SideContact], residual: Array
+) -> tuple[list[ContactFriction], list[Ahead | None]]:
+    """Friction of all contacts and of the sides of both bodies, linearised."""
+    whole = np.zeros(stack.n_nodes)
+    for term in terms:
+        whole[term.projection.nodes[:, 0]] += term.bound
+    bounds = stack.nodal(whole)
+    for side, bound in zip(sides, bounds, strict=True):
+        bound[side.nodes] += side.bound.sum(0)
+    contacts = [
+        term.friction(residual, whole, elastic, stack.slip_length)
+        for term, elastic in zip(terms, stack.elastic, strict=True)
+    ]
+    each = zip(sides, stack.split(residual), bounds, strict=True)
+    return contacts, [side.friction(out, bound) for side, out, bound in each]
 
 
 def newton_step(
@@ -138,12 +162,19 @@ def newton_step(
     held = np.full((stack.n_nodes, 3), hold)
     viscosity = 0.0 if now.drag is None else now.drag.viscosity
     held += (viscosity + damping) * stack.node_volumes[:, None]
+    residual = now.residual.copy()
+    for term, friction in zip(now.terms, now.frictions, strict=True):
+        np.add.at(residual, term.projection.nodes, term.along(friction.change))
+    sides = now.side_tangents()
+    out_of_balance = stack.split(residual)
+    for side, out in zip(sides, out_of_balance, strict=True):
+        out[:2, *side.nodes] += side.change
     parts = zip(
         stack.split(state.u),
         state.p,
-        stack.split(now.residual),
+        out_of_balance,
         stack.split(held),
-        now.sides,
+        sides,
         now.bodies,
         strict=True,
     )
@@ -151,15 +182,17 @@ def newton_step(
         BodyEquations(u, p, residual, diagonal, side, part.volume_residual, part.reference_volume)
         for u, p, residual, diagonal, side, part in parts
     )
-    window, interface, plate = now.terms
+    (window, interface, plate), (at_window, between, at_plate) = now.terms, now.frictions
     _, contact, _ = stack.contacts
     equations = StackEquations(
         bodies=(layer, sample),
         outer=(
-            window.surface(stack.slave_grids[WINDOW].node_shape[1:]),
-            plate.surface(stack.slave_grids[PLATE].node_shape[1:]),
+            window.surface(stack.slave_grids[WINDOW].node_shape[1:], at_window),
+            plate.surface(stack.slave_grids[PLATE].node_shape[1:], at_plate),
         ),
-        interface=interface.coupling(contact.slaves, contact.master, stack.position(state.u)),
+        interface=interface.coupling(
+            contact.slaves, contact.master, stack.position(state.u), between
+        ),
     )
     step = solver.solve(equations, _LINEAR)
     changes = [
@@ -196,29 +229,13 @@ def equilibrate(
         du, dp, dn, krylov = newton_step(stack, now, solver, damping)
         if not np.isfinite(du).all():
             raise HardSystem("the linear system could not be solved")
-        turns = [
-            term.turn(du, old, stack.slip_length)
-            for term, old in zip(now.terms, now.directions, strict=False)
-        ]
-        slips, steps = stack.side_slip(now.state), stack.at_sides(du / stack.slip_length)
-        turns += [
-            direction_step(w, old, step)
-            for w, old, step in zip(slips, now.directions[len(turns) :], steps, strict=True)
-        ]
 
         def follow(fraction: float) -> Balance:
-            turned = [
-                old + fraction * turn for old, turn in zip(now.directions, turns, strict=True)
-            ]
-            turned = [d / np.maximum(1.0, np.linalg.norm(d, axis=1, keepdims=True)) for d in turned]
-            stepped = now.state.stepped(fraction, du, dp, dn)
-            return balance(stack, stepped, directions=turned, drag=drag)
+            return balance(stack, now.state.stepped(fraction, du, dp, dn), drag=drag)
 
         return Direction(follow, krylov)
 
-    directions = [friction_direction(contact.memory) for contact in state.contacts]
-    directions += [friction_direction(side.memory) for side in state.sides]
-    start = balance(stack, state, directions=directions, drag=drag)
+    start = balance(stack, state, drag=drag)
     return iterate(start, direction, tolerances, DAMPING * _stiffness(stack), on_iteration)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from ..body import Body
-from ..friction import friction_direction
+from ..friction import node_stiffness
 from ..grid import LayerGrid
 from ..side_contact import PlaneSides, SideContact
 from .contact import ContactState, SideState
@@ -68,6 +68,18 @@ class Stack:
         height = self.bodies[LAYER].grid.spacing[0]
         return [area * self.shear_modulus / height for area in self.areas]
 
+    @cached_property
+    def elastic(self) -> list[Array]:
+        """How the slaves of each contact resist being moved sideways, (n), mN / mm, about."""
+        layer, sample = (
+            body.law.shear_modulus * float(np.median(body.factor)) for body in self.bodies
+        )
+        between = 1 / (1 / layer + 1 / sample)  # one moves over the other
+        return [
+            node_stiffness(modulus, area)
+            for modulus, area in zip((layer, between, sample), self.areas, strict=True)
+        ]
+
     def position(self, u: Array) -> Array:
         """Node positions (n_nodes, 3) at displacement ``u`` (n_nodes, 3)."""
         nodes = [body.nodes.reshape(3, -1).T for body in self.bodies]
@@ -79,6 +91,14 @@ class Stack:
         return [
             np.ascontiguousarray(part.T).reshape(3, *body.grid.node_shape)
             for part, body in zip((u[:n], u[n:]), self.bodies, strict=True)
+        ]
+
+    def nodal(self, field: Array) -> list[Array]:
+        """Views (nz + 1, ny + 1, nx + 1, ...) of a nodal field (n_nodes, ...) on the two bodies."""
+        n = self.bodies[LAYER].n_nodes
+        return [
+            part.reshape(*body.grid.node_shape, *field.shape[1:])
+            for part, body in zip((field[:n], field[n:]), self.bodies, strict=True)
         ]
 
     def project(self, position: Array, load: float) -> list[Projection]:
@@ -100,17 +120,12 @@ class Stack:
         fields = zip(self.split(u), self.bodies, strict=True)
         return [field[None, :2, *body.grid.side_nodes] for field, body in fields]
 
-    def side_contacts(
-        self, state: State, directions: Sequence[Array] | None = None
-    ) -> list[SideContact]:
-        """Contact of the sides of both bodies; ``directions`` (1, 2, n) those of friction."""
-        fields, slips = self.split(state.u), self.side_slip(state)
-        directions = directions or [friction_direction(w) for w in slips]
+    def side_contacts(self, state: State) -> list[SideContact]:
+        """Contact of the sides of both bodies."""
+        fields = zip(self.sides, self.split(state.u), self.side_slip(state), strict=True)
         return [
-            sides.contact(u, self.plane(body, state.load), self.slip_length, (w, s))
-            for body, (sides, u, w, s) in enumerate(
-                zip(self.sides, fields, slips, directions, strict=True)
-            )
+            sides.contact(u, self.plane(body, state.load), self.slip_length, w)
+            for body, (sides, u, w) in enumerate(fields)
         ]
 
     def side_slip(self, state: State) -> list[Array]:

@@ -16,8 +16,8 @@ from ..body import Body
 from ..direct import sparse_matrix
 from ..elements import GRADIENTS, internal_force
 from ..factors import Dissection, Factors
-from ..side_contact import SideContact
-from .contact import ContactTerms
+from ..side_contact import SideTangent
+from .contact import ContactFriction, ContactTerms
 from .newton import balance
 from .problem import INTERFACE, LAYER, PLATE, SAMPLE, Stack, State
 
@@ -40,12 +40,11 @@ class Tangent:
     def __init__(self, stack: Stack, state: State) -> None:
         self.stack, self.state = stack, state
         now = balance(stack, state)
-        position = stack.position(state.u)
         blocks = [
             _stiffness(body, u, p)
             for body, u, p in zip(stack.bodies, stack.split(state.u), state.p, strict=True)
         ]
-        self._sides = _sides(stack, now.sides)
+        self._sides = _sides(stack, now.side_tangents())
         matrix = sp.csr_matrix(sp.block_diag(blocks))
         for sides in self._sides:
             matrix = matrix + sides
@@ -54,16 +53,16 @@ class Tangent:
         #: Force of each contact by penetration, (slaves), mN / mm, and what it puts on the nodes.
         self.springs: list[Array] = []
         self.rows: list[sp.csr_matrix] = []
-        for n, term in enumerate(now.terms):
+        for n, (term, friction) in enumerate(zip(now.terms, now.frictions, strict=True)):
             spring = _springs(term, stack.scales[n])
-            rows = _matrix(term.rows, term, stack.n_nodes)
+            rows = _matrix(term.rows(friction.sliding), term, stack.n_nodes)
             forces = sp.csr_matrix(sp.diags_array(spring) @ _penetration(term, stack.n_nodes))
             self.springs.append(spring)
             self.rows.append(rows)
             self.contact_forces.append(forces)
             matrix = matrix + rows.T @ forces
-            matrix = matrix + _friction(term, stack.n_nodes)
-        matrix = matrix + _interface(stack, now.terms[INTERFACE], position)
+            matrix = matrix + _friction(term, friction, stack.n_nodes)
+        matrix = matrix + _interface(stack, now.terms[INTERFACE], now.frictions[INTERFACE])
         hold = _HOLD * stack.shear_modulus * stack.bodies[LAYER].grid.spacing[2]
         matrix = matrix + hold * sp.eye_array(matrix.shape[0])
         lateral = [body.nodes[:2].reshape(2, -1).T for body in stack.bodies]
@@ -104,7 +103,7 @@ def _stiffness(body: Body, u: Array, p: Array) -> sp.csr_matrix:
     return sp.csr_matrix(matrix[by_node][:, by_node])
 
 
-def _sides(stack: Stack, sides: list[SideContact]) -> list[sp.csr_matrix]:
+def _sides(stack: Stack, sides: list[SideTangent]) -> list[sp.csr_matrix]:
     """What presses the sides of each body, by displacements."""
     first, size, out = 0, 3 * stack.n_nodes, []
     for body, side in zip(stack.bodies, sides, strict=True):
@@ -155,19 +154,19 @@ def _lateral(nodes: NDArray[np.intp], weights: Array, n_nodes: int) -> list[sp.c
     ]
 
 
-def _friction(term: ContactTerms, n_nodes: int) -> sp.csr_matrix:
+def _friction(term: ContactTerms, friction: ContactFriction, n_nodes: int) -> sp.csr_matrix:
     """Derivative of friction by the slip since the last load."""
     projection, anchor = term.projection, term.state.anchor
     slip = _lateral(anchor.nodes, anchor.weights, n_nodes)
     acts = _lateral(projection.nodes, projection.weights, n_nodes)
-    stiffness = term.friction_stiffness
+    stiffness = friction.stiffness
     parts = [
         acts[c].T @ sp.diags_array(stiffness[:, c, d]) @ slip[d] for c in range(2) for d in range(2)
     ]
     return sp.csr_matrix(sum(parts[1:], parts[0]))
 
 
-def _interface(stack: Stack, term: ContactTerms, position: Array) -> sp.csr_matrix:
+def _interface(stack: Stack, term: ContactTerms, friction: ContactFriction) -> sp.csr_matrix:
     """Turning of contact forces with the slave's faces, and their way over the master's."""
     projection, n_nodes = term.projection, stack.n_nodes
     normal = np.maximum(term.state.force, 0.0)
@@ -185,7 +184,7 @@ def _interface(stack: Stack, term: ContactTerms, position: Array) -> sp.csr_matr
         matrix = matrix - acts[c].T @ turn
     # The shares of the master's nodes change as the slave moves over its surface.
     force = normal[:, None] * projection.push
-    force[:, :2] -= normal[:, None] * term.sliding
+    force[:, :2] -= normal[:, None] * friction.sliding
     for way in range(2):
         values = projection.gradient[:, :, way, None] * force[:, None, :]
         shares = _matrix(values, term, n_nodes)
