@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from optical_palpation.runtime.kernels import keep_kernels
+
+keep_kernels()
 
 Array = NDArray[np.float64]
 
@@ -30,19 +35,32 @@ def area_vectors(surface: Array) -> Array:
 
     The gradient of the volume beneath the surface with respect to each node's position.
     """
-    corners = np.stack(
-        [surface[:, :-1, :-1], surface[:, :-1, 1:], surface[:, 1:, :-1], surface[:, 1:, 1:]]
-    )
-    out = np.zeros_like(surface)
-    ny, nx = corners.shape[2:]
-    for q in range(4):
-        along_x = np.tensordot(SLOPE[q, :, 0], corners, 1)
-        along_y = np.tensordot(SLOPE[q, :, 1], corners, 1)
-        vector = 0.25 * np.cross(along_x, along_y, axis=0)
-        for a in range(4):
-            j, i = a >> 1, a & 1
-            out[:, j : j + ny, i : i + nx] += SHAPE[q, a] * vector
+    out = np.zeros(surface.shape)
+    _area_vectors(np.ascontiguousarray(surface), out)
     return out
+
+
+@nb.njit(cache=True)
+def _area_vectors(surface, out):
+    _, ny1, nx1 = surface.shape
+    x, y, corner = np.empty(3), np.empty(3), np.empty(4)
+    for j in range(ny1 - 1):
+        for i in range(nx1 - 1):
+            for q in range(4):
+                for c in range(3):
+                    x[c] = y[c] = 0.0
+                    for a in range(4):
+                        corner[a] = surface[c, j + (a >> 1), i + (a & 1)]
+                        x[c] += SLOPE[q, a, 0] * corner[a]
+                        y[c] += SLOPE[q, a, 1] * corner[a]
+                v0 = 0.25 * (x[1] * y[2] - x[2] * y[1])
+                v1 = 0.25 * (x[2] * y[0] - x[0] * y[2])
+                v2 = 0.25 * (x[0] * y[1] - x[1] * y[0])
+                for a in range(4):
+                    jj, ii = j + (a >> 1), i + (a & 1)
+                    out[0, jj, ii] += SHAPE[q, a] * v0
+                    out[1, jj, ii] += SHAPE[q, a] * v1
+                    out[2, jj, ii] += SHAPE[q, a] * v2
 
 
 #: Horizontal area of a node, as a share of its unloaded one, below which its faces are folded.
@@ -139,13 +157,19 @@ def add_blocks(
     corners of m faces, (3, 4, m), and ``blocks`` (3, 3, 4, 4, m) the stiffness of their corners a
     by b, mN / mm.
     """
-    for a in range(4):
-        rows = corners[0, a] == k
-        if not rows.any():
-            continue
-        _, j, i = corners[:, a, rows]
-        for b in range(4):
-            dk, dj, di = corners[:, b, rows] - corners[:, a, rows]
-            m = 9 * (dk + 1) + 3 * (dj + 1) + di + 1
-            for c, d in np.ndindex(3, 3):
-                np.add.at(plane, (j, m, 3 * c + d, i), blocks[c, d, a, b, rows])
+    _add_blocks(plane, k, corners, blocks)
+
+
+@nb.njit(cache=True)
+def _add_blocks(plane, k, corners, blocks):
+    for f in range(corners.shape[2]):
+        for a in range(4):
+            if corners[0, a, f] != k:
+                continue
+            j, i = corners[1, a, f], corners[2, a, f]
+            for b in range(4):
+                dk, dj, di = corners[0, b, f] - k, corners[1, b, f] - j, corners[2, b, f] - i
+                m = 9 * (dk + 1) + 3 * (dj + 1) + di + 1
+                for c in range(3):
+                    for d in range(3):
+                        plane[j, m, 3 * c + d, i] += blocks[c, d, a, b, f]

@@ -134,9 +134,10 @@ class SideTangent:
     def add_stiffness(self, plane: NDArray[np.floating], k: int) -> None:
         """Add the stiffness to plane k of the tangent, [y, neighbour, 3 * row + column, x]."""
         add_blocks(plane, k, self.facets, self.blocks)
-        here = (self.nodes[0] == k) & self.hold.any((0, 1))
+        here = self.nodes[0] == k
+        j, i = self.nodes[1][here], self.nodes[2][here]
         for c, d in np.ndindex(2, 2):
-            plane[self.nodes[1][here], 13, 3 * c + d, self.nodes[2][here]] += self.hold[c, d, here]
+            plane[j, 13, 3 * c + d, i] += self.hold[c, d, here]
 
 
 @dataclass(frozen=True, eq=False)

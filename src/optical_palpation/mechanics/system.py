@@ -92,7 +92,8 @@ class NewtonSystem:
         for (face, k), columns in self.face_columns.items():
             for c in range(-columns.shape[3], 0):
                 if prescribed[face, c].any():
-                    residual[:, k] += _column_product(columns[:, :, :, c], prescribed[face, c])
+                    step = prescribed[face, c].astype(columns.dtype)
+                    residual[:, k] += _column_product(columns[:, :, :, c], step)
         residual += self.pressure_force(
             (self.gamma / self.volume * now.volume_residual).astype(dtype)
         )
@@ -315,24 +316,35 @@ def _scatter_rows(divergence, p, out, begin, end):
                     out[c, kk, jj, i + di] += divergence[k, j, 3 * a + c, i] * p[k, j, i]
 
 
-def _vertical_product(rows: Vector, du: Vector, first: int) -> Vector:
+@nb.njit(cache=True)
+def _vertical_product(rows, du, first):
     """Product of the vertical rows of one face with du of the two node planes next to it."""
-    _, ny1, nx1 = du.shape[1:]
-    padded = np.pad(du, ((0, 0), (0, 0), (1, 1), (1, 1)))
+    _, _, ny1, nx1 = du.shape
     out = np.zeros((ny1, nx1), du.dtype)
-    for plane in range(2):
-        for dy, dx in np.ndindex(3, 3):
-            m = 9 * (plane + first) + 3 * dy + dx
+    for j in range(ny1):
+        for m in range(18):
+            plane, jj, di = m // 9, j + m // 3 % 3 - 1, m % 3 - 1
+            if jj < 0 or jj >= ny1:
+                continue
             for c in range(3):
-                out += rows[:, m, c] * padded[c, plane, dy : dy + ny1, dx : dx + nx1]
+                row, near = rows[j, m + 9 * first, c], du[c, plane, jj]
+                for i in range(max(0, -di), min(nx1, nx1 - di)):
+                    out[j, i] += row[i] * near[i + di]
     return out
 
 
-def _column_product(columns: Vector, step: Array) -> Vector:
+@nb.njit(cache=True)
+def _column_product(columns, step):
     """Forces (3, ny1, nx1) on a plane by one component of a face's step, [y, 3 dy + dx, row, x]."""
     ny1, _, _, nx1 = columns.shape
-    padded = np.pad(step.astype(columns.dtype), 1)
     out = np.zeros((3, ny1, nx1), columns.dtype)
-    for dy, dx in np.ndindex(3, 3):
-        out += np.moveaxis(columns[:, 3 * dy + dx], 1, 0) * padded[dy : dy + ny1, dx : dx + nx1]
+    for j in range(ny1):
+        for m in range(9):
+            jj, di = j + m // 3 - 1, m % 3 - 1
+            if jj < 0 or jj >= ny1:
+                continue
+            for c in range(3):
+                row = columns[j, m, c]
+                for i in range(max(0, -di), min(nx1, nx1 - di)):
+                    out[c, j, i] += row[i] * step[jj, i + di]
     return out
