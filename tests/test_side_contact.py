@@ -152,6 +152,30 @@ def test_a_node_on_a_spring_comes_to_rest_in_one_step(bound):
     assert_allclose(residual(w + step), 0.0, atol=2e-5 * np.abs(pull).max())
 
 
+@pytest.mark.parametrize("hardness", [1.0, 1e3, 1e6])
+def test_what_is_in_equilibrium_stays_where_it_is(hardness):
+    """However hard the law is beside the body: no step begins with a change of friction."""
+    w = np.geomspace(1e-3, 1e3, 200) * np.array([0.6, -0.8])[:, None]
+    ahead = look_ahead(
+        w[None], np.zeros((1, *w.shape)), np.ones((1, 200)), np.full((1, 200), hardness)
+    )
+    assert np.abs(ahead.change).max() < 1e-8
+    assert_allclose(ahead.direction, friction_direction(w[None]), atol=1e-8)
+
+
+def test_the_merit_is_less_than_what_is_out_of_balance_by_no_more_than_friction():
+    problem = layer(np.linspace(0, 1, 9), np.linspace(0, 0.8, 7), np.linspace(0, 1, 4))
+    state = LayerState.unloaded(problem.grid)
+    state.load = 1.0
+    state.u[2] = -0.4 * problem.grid.nodes[2]
+    state.u[0] = 0.05 * problem.grid.nodes[0]
+    state.normal_force += 0.1
+    now = balance(problem, state)
+    friction = np.hypot(np.linalg.norm(now.friction.turned), np.linalg.norm(now.contact.carried))
+    assert now.merit < 0.99 * now.imbalance
+    assert now.imbalance < now.merit + friction
+
+
 def test_what_is_remembered_of_slip():
     far = remembered(np.array([[[300.0], [400.0]]]))
     assert_allclose(np.hypot(*far[0]), MEMORY)

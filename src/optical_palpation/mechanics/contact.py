@@ -17,7 +17,8 @@ node are
     f_x + (a_x - mu s_x) f_z = 0 (imprint),    f_x + mu s_x f_z = 0 (window),
 
 in which the vertical internal force f_z = -+N carries both the slope and the friction bound, so
-that friction is linearised exactly together with the pressure that bounds it.
+that these are linearised exactly together with the pressure; s itself is linearised where it will
+be (``friction.look_ahead``).
 
 The slope a = -(A_x, A_y) / A_z along which the contact force acts is that of the deformed element
 faces, with A the area vector of the node (the gradient of the layer's volume), not that of the
@@ -71,13 +72,13 @@ class ContactLinearisation:
     All arrays end in ``(ny + 1, nx + 1)`` and begin with the face. ``row`` and ``column`` (x, y)
     are the factors with which the vertical equation and the vertical displacement enter the lateral
     ones; ``traction`` (x, y) friction of a bound that is given, mN; ``slip`` (x, y) that of the
-    law of friction, ``bound`` mu N and ``carried`` what of that is in the residual, mN, ``coupled``
-    the mu by which that follows from the vertical equations; ``turning``
-    (ny + 1, nx + 1, 9, 2, 3; imprint only)
-    the lateral stiffness by which contact forces turn with the element faces,
-    over the neighbours 3 (dy + 1) + (dx + 1); ``spring`` the stiffness of the
-    contact coordinate d, where ``stiff`` so great that d is sought from where it would be were it
-    prescribed, where ``rigid`` prescribed indeed. ``violation`` is psi, mN, where glued c times the
+    law of friction, ``carried`` its bound mu N, mN, ``coupled`` the mu by which that follows from
+    the vertical equations and ``bound`` the same for the stiffness, which a node keeps while its
+    reaction comes and goes; ``turning`` (ny + 1, nx + 1, 9, 2, 3; imprint only) the lateral
+    stiffness by which contact forces turn with the element faces, over the neighbours
+    3 (dy + 1) + (dx + 1); ``spring`` the stiffness of the contact coordinate d, where ``stiff`` so
+    great that d is sought from where it would be were it prescribed, where ``rigid`` prescribed
+    indeed. ``violation`` is psi, mN, where glued c times the
     distance ``off`` (x, y, z; 0 elsewhere) from where the node belongs.
     """
 
@@ -96,17 +97,24 @@ class ContactLinearisation:
     stiff: NDArray[np.bool_]
     rigid: NDArray[np.bool_]
 
-    def friction(self, problem: LayerProblem, residual: Array, whole: Array) -> FaceFriction:
+    def friction(
+        self, problem: LayerProblem, residual: Array, whole: Array, resistance: Array | float = 0.0
+    ) -> FaceFriction:
         """Linearise friction of a state.
 
-        ``residual`` is that of ``Balance``, ``whole`` (nz + 1, ny + 1, nx + 1), mN, the bound of
-        all friction at a node: each takes its share of what is out of balance there.
+        Parameters
+        ----------
+        residual
+            That of ``Balance``, mN.
+        whole
+            The bound of all friction at each node, (nz + 1, ny + 1, nx + 1), mN.
+        resistance
+            How drag resists the nodes of both faces, (2, ny + 1, nx + 1), mN / mm.
         """
-        share = self.carried / np.maximum(whole[[0, -1]], 1e-300)
-        share[self.carried == 0] = 1.0
-        elastic = node_stiffness(problem.shear_modulus, problem.grid.areas) * problem.slip_length
+        height = float(np.median(problem.grid.thickness))
+        elastic = node_stiffness(problem.shear_modulus, problem.grid.areas, height) + resistance
         lateral = np.moveaxis(residual[:2, [0, -1]], 1, 0)
-        ahead = look_ahead(self.slip, share[:, None] * lateral, share * elastic, self.carried)
+        ahead = look_ahead(self.slip, lateral, elastic * problem.slip_length, whole[[0, -1]])
         turned = ahead.direction - friction_direction(self.slip)
         coupled = self.coupled[:, None] * turned
         block = self.bound[:, None] / problem.slip_length * ahead.slope

@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 
 #: The |w| up to which the law remembers.
 MEMORY = 5.0
-#: Steps in which the place is found where a node would come to rest, and how nearly.
-_STEPS, _NEARLY = 8, 1e-3
+#: Steps in which the place is found where a node would come to rest, at most, and how nearly.
+_STEPS, _NEARLY = 30, 1e-5
 #: The |w| from which a node slides, and the one that it is given on other elements.
 SLIDING, FAST = 3.0, 100.0
 
@@ -75,9 +75,12 @@ class Ahead(NamedTuple):
 _ELASTIC = 1.5
 
 
-def node_stiffness(shear_modulus: float, area: Array | float) -> Array:
-    """How the body resists a node of its surface that moves sideways alone, mN / mm, about."""
-    return np.asarray(_ELASTIC * shear_modulus * np.sqrt(area))
+def node_stiffness(shear_modulus: float, area: Array | float, height: float) -> Array:
+    """How a body of a height, mm, resists a node of its surface moving alone, mN / mm, about.
+
+    As a half-space does or, where what belongs to the node is wider than high, as a column.
+    """
+    return np.asarray(shear_modulus * np.maximum(_ELASTIC * np.sqrt(area), area / height))
 
 
 def look_ahead(w: Array, residual: Array, elastic: Array, bound: Array) -> Ahead:
@@ -92,9 +95,9 @@ def look_ahead(w: Array, residual: Array, elastic: Array, bound: Array) -> Ahead
     residual
         Lateral force out of balance, as w, mN.
     elastic
-        Force by which the body resists a unit of w, (m, ...), mN.
+        Force by which the body resists a unit of w, (m, ...), mN; more than none.
     bound
-        mu N, (m, ...), mN.
+        mu N of all friction at the node, (m, ...), mN.
     """
     m, shape = len(w), w.shape[2:]
     w, residual = (np.ascontiguousarray(field).reshape(m, 2, -1) for field in (w, residual))

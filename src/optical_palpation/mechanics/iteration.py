@@ -99,9 +99,9 @@ class Direction(Generic[AnyIterate]):
     krylov: int
 
 
-#: A step must leave less out of balance than the most of so many iterations. Pressures that grow
-#: from nothing to what fits the layer between the surfaces, and friction that turns round, leave
-#: more for a step or two; steps cut short for that get nowhere.
+#: A step must leave a smaller merit than the largest of so many iterations. Pressures that grow
+#: from nothing to what fits the layer between the surfaces leave more for a step or two; steps cut
+#: short for that get nowhere.
 _MEMORY = 4
 #: Least damping of a step that otherwise fails, in shear moduli per height squared.
 DAMPING = 30.0
@@ -178,7 +178,7 @@ def iterate(
                 damping = max(least_damping, 5.0 * damping)
             else:
                 raise NotConverged("no step leads nearer to equilibrium")
-            damping *= 0.5 * min(1.0, after.merit / now.merit)
+            damping *= 0.5 * min(1.0, after.merit / max(now.merit, 1e-300))
             if damping < 0.1 * least_damping:
                 damping = 0.0
             now = after

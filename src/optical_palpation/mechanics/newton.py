@@ -121,6 +121,7 @@ class Balance:
     faces (drag, cut sides, ``sides``), ``residual`` what is out of balance of the equations in
     contact coordinates, both (3, nz + 1, ny + 1, nx + 1), mN. ``imbalance`` is the
     2-norm of all that is out of balance, mN, ``force_error`` its share of the contact forces.
+    ``friction`` and ``side_friction`` are linearised; ``merit`` is that of ``Iterate``.
     """
 
     state: LayerState
@@ -172,10 +173,13 @@ def balance(
     problem.hold_sides(out, 0.0)
     violation = np.linalg.norm(contact.violation)
     imbalance = float(np.hypot(np.linalg.norm(out), violation))
-    bound = np.zeros(problem.grid.node_shape)
-    bound[[0, -1]] = contact.carried
-    bound[sides.nodes] += sides.bound.sum(0)
-    friction, side_friction = contact.friction(problem, out, bound), sides.friction(out, bound)
+    whole, resistance = np.zeros((2, *problem.grid.node_shape))
+    whole[[0, -1]] = contact.carried
+    whole[sides.nodes] += sides.bound.sum(0)
+    if drag is not None:
+        resistance = drag.viscosity * problem.grid.node_volumes
+    friction = contact.friction(problem, out, whole, resistance[[0, -1]])
+    side_friction = sides.friction(out, whole, resistance[sides.nodes])
     eased = out.copy()
     eased[:2, [0, -1]] += np.moveaxis(friction.turned, 0, 1)
     if side_friction is not None:

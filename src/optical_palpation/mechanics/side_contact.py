@@ -169,18 +169,19 @@ class SideContact:
         """The bound of friction at each node, (surfaces, n), mN."""
         return self._rubs[:, None] * self.normal_force
 
-    def friction(self, residual: Array, whole: Array) -> Ahead | None:
-        """Linearise friction; for ``residual`` and ``whole`` see ``ContactLinearisation``.
+    def friction(
+        self, residual: Array, whole: Array, resistance: Array | float = 0.0
+    ) -> Ahead | None:
+        """Linearise friction, where there is any, as ``ContactLinearisation.friction``.
 
-        None where there is none.
+        ``resistance`` is that of the side nodes, (n).
         """
         if self._slip is None or not self._touch.corners.size:
             return None
-        share = self.bound / np.maximum(whole[self.nodes], 1e-300)
-        share[self.bound == 0] = 1.0
-        lateral = share[:, None] * residual[:2, *self.nodes]
-        elastic = share * self._elastic * self._slip_length
-        return look_ahead(self._slip, lateral, elastic, self.bound)
+        lateral = np.broadcast_to(residual[:2, *self.nodes], self._slip.shape)
+        whole = np.broadcast_to(whole[self.nodes], self.normal_force.shape)
+        elastic = np.asarray((self._elastic + resistance) * self._slip_length)
+        return look_ahead(self._slip, lateral, elastic, whole)
 
     def turned(self, ahead: Ahead) -> Array:
         """What friction (x, y) will be beyond that of the state, (2, n), mN."""
@@ -217,8 +218,8 @@ def side_contact(
     """
     rubs = np.where(problem.glued, 0.0, problem.friction)
     touch = _touching(problem, state)
-    height = problem.grid.spacing[0]
-    elastic = float(node_stiffness(problem.shear_modulus, height**2))
+    grid, height = problem.grid, float(np.median(problem.grid.thickness))
+    elastic = float(node_stiffness(problem.shear_modulus, grid.spacing[0] ** 2, height))
     return _contact(
         problem.grid, problem.side_facets, touch, rubs, problem.slip_length, elastic, slip
     )
@@ -302,7 +303,8 @@ class PlaneSides:
             np.zeros((2, 2, *z.shape)),
         )
         rubs = np.array([self.friction])
-        elastic = float(node_stiffness(self.body.law.shear_modulus, grid.spacing[0] ** 2))
+        modulus = self.body.law.shear_modulus * float(np.median(self.body.factor))
+        elastic = float(node_stiffness(modulus, grid.spacing[0] ** 2, thickness))
         return _contact(grid, facets, touch, rubs, slip_length, elastic, slip)
 
 

@@ -89,13 +89,12 @@ class ContactTerms:
         """Linearise friction (``friction.look_ahead``).
 
         ``residual`` (n_nodes, 3) is what is out of balance, mN, ``whole`` (n_nodes), mN, the bound
-        of all friction at a node, of which each takes its share; ``elastic`` (n), mN / mm, how the
-        slaves resist being moved sideways.
+        of all friction at a node; ``elastic`` (n), mN / mm, how the slaves resist being moved
+        sideways.
         """
         slaves = self.projection.nodes[:, 0]
-        share = np.where(self.bound == 0, 1.0, self.bound / np.maximum(whole[slaves], 1e-300))
-        w, lateral = self.slip.T[None], (share[:, None] * residual[slaves, :2]).T[None]
-        ahead = look_ahead(w, lateral, (share * elastic * slip_length)[None], self.bound[None])
+        w, lateral = self.slip.T[None], residual[slaves, :2].T[None]
+        ahead = look_ahead(w, lateral, (elastic * slip_length)[None], whole[slaves][None])
         xx, xy, yy = self.bound / slip_length * ahead.slope[0]
         return ContactFriction(
             sliding=self.coupled * ahead.direction[0].T,

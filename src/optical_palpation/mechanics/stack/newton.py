@@ -34,7 +34,7 @@ class Balance:
     ``sides`` are those of both bodies, ``drag`` is what resists the state.
     ``residual`` (n_nodes, 3) are the nodal forces out of balance, mN, ``imbalance`` the 2-norm of
     these and of the violations of the laws of contact, mN; ``force_error`` its share of the contact
-    forces.
+    forces, ``merit`` that of ``Iterate``. ``frictions`` and ``side_frictions`` are linearised.
     """
 
     state: State
@@ -99,7 +99,7 @@ def balance(
         out += drag.viscosity * stack.node_volumes[:, None] * (state.u - drag.origin.u)
     for term in terms:
         np.add.at(out, term.projection.nodes, term.residual)
-    frictions, side_frictions = _frictions(stack, terms, sides, out)
+    frictions, side_frictions = linearised_friction(stack, terms, sides, out)
     eased = out.copy()
     for term, friction in zip(terms, frictions, strict=True):
         np.add.at(eased, term.projection.nodes, term.along(friction.turned))
@@ -129,7 +129,7 @@ def balance(
     )
 
 
-def _frictions(
+def linearised_friction(
     stack: Stack, terms: list[ContactTerms], sides: list[SideContact], residual: Array
 ) -> tuple[list[ContactFriction], list[Ahead | None]]:
     """Friction of all contacts and of the sides of both bodies, linearised."""

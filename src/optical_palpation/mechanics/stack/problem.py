@@ -71,14 +71,15 @@ class Stack:
     @cached_property
     def elastic(self) -> list[Array]:
         """How the slaves of each contact resist being moved sideways, (n), mN / mm, about."""
-        layer, sample = (
-            body.law.shear_modulus * float(np.median(body.factor)) for body in self.bodies
-        )
-        between = 1 / (1 / layer + 1 / sample)  # one moves over the other
-        return [
-            node_stiffness(modulus, area)
-            for modulus, area in zip((layer, between, sample), self.areas, strict=True)
-        ]
+
+        def alone(body: Body, area: Array) -> Array:
+            modulus = body.law.shear_modulus * float(np.median(body.factor))
+            return node_stiffness(modulus, area, float(np.median(body.grid.thickness)))
+
+        (layer, sample), (at_window, between, at_plate) = self.bodies, self.areas
+        # one gives way to the other
+        series = 1 / (1 / alone(layer, between) + 1 / alone(sample, between))
+        return [alone(layer, at_window), series, alone(sample, at_plate)]
 
     def position(self, u: Array) -> Array:
         """Node positions (n_nodes, 3) at displacement ``u`` (n_nodes, 3)."""

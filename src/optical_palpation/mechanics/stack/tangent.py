@@ -18,7 +18,7 @@ from ..elements import GRADIENTS, internal_force
 from ..factors import Dissection, Factors
 from ..side_contact import SideTangent
 from .contact import ContactFriction, ContactTerms
-from .newton import balance
+from .newton import balance, linearised_friction
 from .problem import INTERFACE, LAYER, PLATE, SAMPLE, Stack, State
 
 Array = NDArray[np.float64]
@@ -34,26 +34,33 @@ _SHAPE_STEP = 1e-6
 class Tangent:
     """The derivative of the equilibrium of a stack, with pressures and contact forces condensed.
 
-    Friction is taken from the slip since the last accepted load, as in Newton's method.
+    Friction is taken from the slip since the last accepted load.
     """
 
     def __init__(self, stack: Stack, state: State) -> None:
         self.stack, self.state = stack, state
         now = balance(stack, state)
+        # what is not quite in balance is none of the derivative
+        frictions, side_frictions = linearised_friction(
+            stack, now.terms, now.sides, np.zeros_like(now.residual)
+        )
+        sides = [
+            side.tangent(friction) for side, friction in zip(now.sides, side_frictions, strict=True)
+        ]
         blocks = [
             _stiffness(body, u, p)
             for body, u, p in zip(stack.bodies, stack.split(state.u), state.p, strict=True)
         ]
-        self._sides = _sides(stack, now.side_tangents())
+        self._sides = _sides(stack, sides)
         matrix = sp.csr_matrix(sp.block_diag(blocks))
-        for sides in self._sides:
-            matrix = matrix + sides
+        for pressing in self._sides:
+            matrix = matrix + pressing
         #: Force of each contact's slaves by displacement, (slaves, 3 n_nodes), mN / mm.
         self.contact_forces: list[sp.csr_matrix] = []
         #: Force of each contact by penetration, (slaves), mN / mm, and what it puts on the nodes.
         self.springs: list[Array] = []
         self.rows: list[sp.csr_matrix] = []
-        for n, (term, friction) in enumerate(zip(now.terms, now.frictions, strict=True)):
+        for n, (term, friction) in enumerate(zip(now.terms, frictions, strict=True)):
             spring = _springs(term, stack.scales[n])
             rows = _matrix(term.rows(friction.sliding), term, stack.n_nodes)
             forces = sp.csr_matrix(sp.diags_array(spring) @ _penetration(term, stack.n_nodes))
@@ -62,7 +69,7 @@ class Tangent:
             self.contact_forces.append(forces)
             matrix = matrix + rows.T @ forces
             matrix = matrix + _friction(term, friction, stack.n_nodes)
-        matrix = matrix + _interface(stack, now.terms[INTERFACE], now.frictions[INTERFACE])
+        matrix = matrix + _interface(stack, now.terms[INTERFACE], frictions[INTERFACE])
         hold = _HOLD * stack.shear_modulus * stack.bodies[LAYER].grid.spacing[2]
         matrix = matrix + hold * sp.eye_array(matrix.shape[0])
         lateral = [body.nodes[:2].reshape(2, -1).T for body in stack.bodies]
