@@ -148,20 +148,14 @@ def _cross_matrix(v: Array) -> Array:
     return np.array([[zero, -v[2], v[1]], [v[2], zero, -v[0]], [-v[1], v[0], zero]])
 
 
-def add_blocks(
-    plane: NDArray[np.floating], k: int, corners: NDArray[np.intp], blocks: Array
-) -> None:
+@nb.njit(cache=True)
+def add_blocks(plane, k, corners, blocks):
     """Add a stiffness between the corners of faces to plane k of a tangent.
 
     ``plane`` is [y, neighbour, 3 * row + column, x]; ``corners`` are the indices (k, j, i) of the
     corners of m faces, (3, 4, m), and ``blocks`` (3, 3, 4, 4, m) the stiffness of their corners a
     by b, mN / mm.
     """
-    _add_blocks(plane, k, corners, blocks)
-
-
-@nb.njit(cache=True)
-def _add_blocks(plane, k, corners, blocks):
     for f in range(corners.shape[2]):
         for a in range(4):
             if corners[0, a, f] != k:

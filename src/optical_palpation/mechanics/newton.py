@@ -116,12 +116,12 @@ CARRIED = Due(2, 1, 0.1, 0.06, 8, carried=True)
 class Balance:
     """Internal forces, volumes and contact of a state, and how far it is from equilibrium.
 
-    ``drag`` is what resists the state.
-    ``force`` are the internal nodal forces (x, y, z), with what else holds the layer but for the
-    faces (drag, cut sides, ``sides``), ``residual`` what is out of balance of the equations in
-    contact coordinates, both (3, nz + 1, ny + 1, nx + 1), mN. ``imbalance`` is the
-    2-norm of all that is out of balance, mN, ``force_error`` its share of the contact forces.
-    ``friction`` and ``side_friction`` are linearised; ``merit`` is that of ``Iterate``.
+    ``drag`` is what resists the state. ``force`` are the internal nodal forces (x, y, z), with what
+    else holds the layer but for the faces (drag, cut sides, ``sides``), ``residual`` what is out of
+    balance of the equations in contact coordinates, both (3, nz + 1, ny + 1, nx + 1), mN.
+    ``imbalance`` is the 2-norm of all that is out of balance, mN, ``force_error`` its share of the
+    contact forces. ``friction`` and ``side_friction`` are linearised; ``merit`` is that of
+    ``Iterate``.
     """
 
     state: LayerState
@@ -384,8 +384,8 @@ def equilibrate(
 ) -> tuple[Balance, int]:
     """Bring a state into equilibrium at its load, ``drag`` included.
 
-    Where a few columns keep the layer from equilibrium they are
-    solved alone when they are due, to ``eliminate`` them.
+    Where a few columns keep the layer from equilibrium they are solved alone when they are due, to
+    ``eliminate`` them.
 
     Returns
     -------

@@ -220,9 +220,7 @@ def side_contact(
     touch = _touching(problem, state)
     grid, height = problem.grid, float(np.median(problem.grid.thickness))
     elastic = float(node_stiffness(problem.shear_modulus, grid.spacing[0] ** 2, height))
-    return _contact(
-        problem.grid, problem.side_facets, touch, rubs, problem.slip_length, elastic, slip
-    )
+    return _contact(grid, problem.side_facets, touch, rubs, problem.slip_length, elastic, slip)
 
 
 def _touching(problem: LayerProblem, state: LayerState) -> _Touch:
