@@ -14,6 +14,7 @@ from scipy.sparse.linalg import splu
 from .elements import corner_nodes
 from .factors import Dissection, Factors
 from .problem import LayerProblem
+from .stencil import all_threads
 from .system import NewtonSystem, RightHandSide, with_prescribed
 
 Vector = NDArray[np.floating]
@@ -59,7 +60,8 @@ class DirectSolver:
         matrix = sparse_matrix(system.stencil, system.free)
         if system.flow is None and system.gamma == system.bulk_modulus:  # dp follows from du
             unknowns = np.arange(rhs.displacement.size).reshape(3, -1).T
-            factors = Factors(matrix, dissection(self._node_shape), unknowns)
+            with all_threads():
+                factors = Factors(matrix, dissection(self._node_shape), unknowns)
             u: Vector = factors.solve(rhs.displacement.astype(float).reshape(-1, 1))
             u = u.reshape(rhs.displacement.shape)
             p: Vector = system.bulk_modulus / system.volume * (system.volume_change(u) - rhs.volume)

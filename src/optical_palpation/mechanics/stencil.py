@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import NamedTuple
 
 import numba as nb
@@ -28,6 +29,8 @@ from .lanes import FAST, LARGEST, L
 
 #: Nodes below which a grid is left to one thread: to wake others takes longer than they save.
 _NODES_OF_ONE_THREAD = 20000
+#: How many there are beside it.
+_allowed = ContextVar("threads", default=1)
 #: Entries of one neighbour of the lanes.
 _BLOCK = 9 * L
 _LARGEST_ENTRY = 32767.0
@@ -78,11 +81,25 @@ def threads_for(node_shape: tuple[int, ...]) -> Iterator[None]:
         yield
         return
     allowed = nb.get_num_threads()
+    given = _allowed.set(max(allowed, _allowed.get()))
     nb.set_num_threads(1)
     try:
         yield
     finally:
         nb.set_num_threads(allowed)
+        _allowed.reset(given)
+
+
+@contextmanager
+def all_threads() -> Iterator[int]:
+    """Give all threads to long work on a grid that is left to one; yields their number."""
+    before = nb.get_num_threads()
+    number = max(before, _allowed.get())
+    nb.set_num_threads(number)
+    try:
+        yield number
+    finally:
+        nb.set_num_threads(before)
 
 
 def halo_zeros(node_shape: tuple[int, int, int]) -> NDArray[np.float32]:
