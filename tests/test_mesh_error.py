@@ -34,7 +34,7 @@ def unloaded(of):
     return LayerState.unloaded(of.grid)
 
 
-def solved(level, _):
+def solved(level, *_, **__):
     return Solution(level, unloaded(level))
 
 
@@ -71,7 +71,7 @@ def test_the_error_of_a_method_of_order_one_to_two_lies_within_the_estimate(orde
 
         solution = Solution(fine, unloaded(fine), coarser=(coarse, unloaded(coarse)))
         with mock.patch.object(
-            mesh_error, "solve", lambda level, _: Solution(level, unloaded(level))
+            mesh_error, "solve", lambda level, *_, **__: Solution(level, unloaded(level))
         ):
             found = mesh_error.mesh_error(solution, quantities, lambda _: 0)
         assert abs(error) * (1 - 1e-6) <= found.force <= abs(error) * (1.25 * (1 + 2) + 1e-6)
@@ -177,6 +177,21 @@ def test_no_estimate_where_there_is_no_coarser_solution(monkeypatch):
     result = press(0.2)  # a result all the same, which says so
     assert "force_mesh_error_mN" not in result.maps.attrs
     assert "error of the mesh: unknown" in summarise(result)
+
+
+def test_no_estimate_where_another_grid_takes_too_long(monkeypatch):
+    iterations = []
+
+    def endless(level, *_, on_iteration, **__):
+        while True:
+            iterations.append(1)
+            on_iteration(level, 0.5, len(iterations), None, 5)
+
+    monkeypatch.setattr(mesh_error, "solve", endless)
+    small = problem(8, depth=2)
+    found = mesh_error.mesh_error(Solution(small, unloaded(small)), lambda *_: None, lambda _: 0)
+    assert found is None
+    assert 100 < len(iterations) < 200
 
 
 def test_the_solution_on_finer_elements_lies_within_the_estimate():

@@ -20,6 +20,7 @@ from scipy.ndimage import gaussian_filter
 
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, halved, solve
 from optical_palpation.mechanics.grid import LayerGrid
+from optical_palpation.mechanics.newton import Balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
@@ -40,6 +41,9 @@ _LEAST_RATIO = 1.2
 _LATERAL, _LEAST_LATERAL = np.array([False, True, True]), 4
 #: Elements of the largest grid on which the depth is compared, if the nested iteration has not.
 _ELEMENTS = 4000
+#: Newton iterations that another grid may take: most layers come to rest in 10 to 90, few that take
+#: more do, and those that do take as long as the solution itself.
+_MOST = 120
 #: Standard deviation, in elements, of the Gaussian over which the error of the map is averaged. The
 #: difference of two solutions has zeros where neither of them is right.
 _AVERAGED = 2.0
@@ -62,6 +66,10 @@ class MeshError:
     force: float
     stress: Array
     elements: int
+
+
+class _TooLong(Exception):
+    """Another grid takes too many iterations."""
 
 
 @dataclass(frozen=True)
@@ -95,11 +103,12 @@ def mesh_error(
     -------
     MeshError or None
         None where part of the error is unknown: the grid is too coarse itself, the load was not
-        reached on another one, or those that would tell must not be solved.
+        reached on another one or would have taken too long, or those that would tell must not be
+        solved.
     """
     try:
         comparisons = _comparisons(solution, bound_guess, further)
-    except LoadNotReached:
+    except (LoadNotReached, _TooLong):
         return None
     if not comparisons or any(each.factor == np.inf for each in comparisons):
         return None
@@ -146,7 +155,15 @@ def _comparisons(
         return []
 
     def solved(problem: LayerProblem) -> Loaded:
-        return problem, solve(problem, bound_guess).state
+        spent = 0
+
+        def count(level: LayerProblem, load: float, iteration: int, now: Balance, _: int) -> None:
+            nonlocal spent
+            spent += iteration > 0
+            if spent > _MOST:
+                raise _TooLong
+
+        return problem, solve(problem, bound_guess, on_iteration=count).state
 
     across = ~seen & _LATERAL
     if across.any():
