@@ -11,6 +11,7 @@ from optical_palpation.mechanics.direct import DirectSolver
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.iteration import (
+    SOFTENING,
     TOLERANCES,
     Direction,
     NotConverged,
@@ -20,7 +21,7 @@ from optical_palpation.mechanics.iteration import (
 from optical_palpation.mechanics.krylov import MultigridSolver, gmres
 from optical_palpation.mechanics.newton import balance, equilibrate, equilibrate_by
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
-from optical_palpation.mechanics.system import assemble
+from optical_palpation.mechanics.system import RightHandSide, assemble
 
 
 def pressed(n: int, depth: int, edges: str = "free") -> tuple[LayerProblem, LayerState]:
@@ -69,6 +70,50 @@ def test_newton_step_equals_the_direct_one():
         steps.append(solver.solve(out_of_balance(problem, state, solver), 1e-6)[:2])
     for fast, exact in zip(*steps, strict=True):
         assert_allclose(fast, exact, atol=2e-3 * np.abs(exact).max())
+
+
+def test_what_stiff_contact_takes_up_does_not_drown_the_forces_in_the_body():
+    problem, state = pressed(12, 3, "roller")  # no rigid motions
+    steps = []
+    for solver in (
+        MultigridSolver(problem.grid, problem.shear_modulus, free_sides=False),
+        DirectSolver(problem.grid.node_shape, problem.bulk_modulus),
+    ):
+        now = balance(problem, state)
+        now.contact.rigid[:] = False
+        now.contact.spring[:] = 1e5 * problem.shear_modulus * problem.grid.areas
+        system = assemble(problem, now, solver)
+        rng = np.random.default_rng(0)
+        force = rng.standard_normal(system.free.shape)
+        force[2, [0, -1]] *= 1e4
+        force[:2, [0, -1]] = 0.0
+        rhs = RightHandSide(
+            system.free * force, np.zeros_like(system.volume), np.zeros((2, 3, 1, 1))
+        )
+        steps.append(solver.solve(rhs, 1e-2)[0])
+    fast, exact = steps
+    assert np.linalg.norm(fast - exact) < 0.05 * np.linalg.norm(exact)
+
+
+def test_pressures_of_a_damped_step_stay_small():
+    problem, state = pressed(8, 3)
+    solver = DirectSolver(problem.grid.node_shape, problem.bulk_modulus)
+    state = equilibrate(problem, state, solver, TOLERANCES)[0].state
+    state.u[:, 1:-1] += 1e-3 * np.random.default_rng(0).standard_normal(state.u[:, 1:-1].shape)
+    now = balance(problem, state)
+    mu, height = problem.shear_modulus, 0.4
+
+    def step(damping, softening):
+        held = damping * mu / height**2, softening * damping / mu
+        system = assemble(problem, now, solver, *held)
+        du, dp, _ = solver.solve(system.right_hand_side(problem, now), 0.0)
+        return np.linalg.norm(du), np.linalg.norm(system.pressure_force(dp))
+
+    moved, pushed = step(0.0, 0.0)
+    moved_damped, pushed_damped = step(1e6, SOFTENING)
+    assert moved_damped < 1e-3 * moved
+    assert pushed_damped < 0.1 * pushed
+    assert step(1e6, 0.0)[1] > 10 * pushed  # all of the volume put right, whatever resists it
 
 
 @pytest.mark.parametrize("blown_up", [0.0, 1e4, 1e5])
@@ -131,3 +176,16 @@ def test_an_error_that_does_not_fall_is_not_waited_for():
     with pytest.raises(NotConverged, match="stagnates"):
         iterate(Point(1.0), linearise, Tolerances(patience=4), 1.0, lambda n, *_: seen.append(n))
     assert seen[-1] == 4
+
+
+def test_an_iterate_that_will_do_is_soon_content():
+    seen = []
+
+    def linearise(now, damping):
+        return Direction(lambda fraction: Point(0.95 * now.force_error), 3)
+
+    wanted = Tolerances(force=1e-6, nearly=1e-4)
+    with pytest.raises(NotConverged, match="stagnates") as failure:
+        iterate(Point(9e-5), linearise, wanted, 1.0, lambda n, *_: seen.append(n))
+    assert seen[-1] == wanted.patience // 3
+    assert failure.value.nearest[0].force_error < 9e-5

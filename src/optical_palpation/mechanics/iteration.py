@@ -33,20 +33,25 @@ class Tolerances:
     iterations
         Newton iterations allowed at one load.
     linear
-        Relative residual to which linear systems are solved (inexact Newton).
+        Relative residual to which linear systems are solved (inexact Newton), in norms in which
+        what contact springs take up counts by what it moves the body.
     patience
         Newton iterations in which the error must fall to three tenths.
     krylov
         Iterations of a linear solver from which on the tangent counts as nearly singular, and
         Newton's method is given up.
+    nearly
+        Force error of a state that will do where Newton's method does not get there: so near,
+        patience is a third of what it is elsewhere.
     """
 
     force: float = 1e-6
     volume: float = 1e-7
     iterations: int = 25
-    linear: float = 1e-2
+    linear: float = 3e-2
     patience: int = 12
     krylov: int = 1000
+    nearly: float = 0.0
 
 
 #: When bodies are in equilibrium.
@@ -105,6 +110,10 @@ class Direction(Generic[AnyIterate]):
 _MEMORY = 4
 #: Least damping of a step that otherwise fails, in shear moduli per height squared.
 DAMPING = 30.0
+#: Compressibility beside that of a body that goes with damping of one shear modulus per height
+#: squared, in reciprocal shear moduli. Else a step must take away all of the violation of
+#: J - 1 = p / K, and the more it is damped, the larger the forces that this takes.
+SOFTENING = 1e-3
 #: How often a step is tried, with ever more damping.
 _ATTEMPTS = 6
 #: Share of its smallest volume ratio that a body must keep in a step.
@@ -125,7 +134,7 @@ def iterate(
     ----------
     linearise
         Returns the Newton step of an iterate, for a damping: a resistance to displacement in the
-        tangent alone, kPa / mm^2.
+        tangent alone, kPa / mm^2, and with it a compressibility.
     least_damping
         What is tried first where the step as it is leads nowhere.
     on_iteration
@@ -157,6 +166,8 @@ def iterate(
             if now.force_error < nearest.force_error:
                 nearest, number = now, iteration
             patience = tolerances.patience
+            if nearest.force_error < tolerances.nearly:
+                patience //= 3
             if iteration >= patience and min(errors[-patience:]) > 0.3 * errors[-1 - patience]:
                 raise NotConverged("Newton's method stagnates")
             if iteration > 0 and met(now, tolerances):

@@ -49,7 +49,7 @@ class MultigridSolver:
         self.schur = SchurComplement(grid.shape, grid.spacing, shear_modulus, self.gamma)
         self.lubrication = Lubrication(depth, grid.y, grid.x, free_sides, shear_modulus)
         self.areas = grid.areas
-        #: Stiffness of a contact above which it counts as closed, mN / mm.
+        #: Stiffness of the body at a node, above which that of a contact counts as closed, mN / mm.
         self.springs = self.areas * shear_modulus / grid.spacing[0]
 
     @property
@@ -74,6 +74,9 @@ class MultigridSolver:
         stiffness = _of_elements(system.friction.block[:, [2, 0]] / self.areas)
         touching = _of_elements(np.where(contact.rigid, 1.0, contact.spring > self.springs))
         self.lubrication.prepare(stiffness, touching, system.bulk_modulus)
+        # Of an imbalance at the faces, stiff contact takes up all but a share.
+        taken = np.abs([*np.moveaxis(system.friction.block[:, [0, 2]], 0, 1), contact.spring])
+        self.share = (self.springs / (self.springs + taken)).astype(f32)
         # The uniform pressure is the mode that cosine modes miss most (a layer with nowhere to go
         # answers to it with its bulk modulus alone): it is solved for by itself.
         shape = system.free.shape[1:]
@@ -93,11 +96,11 @@ class MultigridSolver:
 
         There are at most ``limit`` of these. ``tolerance`` is the reduction of the residual of both
         equations together, each pressure equation weighted by (mu + gamma) / V^(1/3) to make it a
-        force.
+        force, each force by the share of it that contact leaves to the body.
         """
         f32 = np.float32
         system, free, volume, weight = self.system, self.free, self.volume, self.weight
-        penalty = f32(system.gamma) / volume
+        penalty, share = f32(system.gamma) / volume, self.share
         shape = free.shape[1:]
         x, b, r = halo_zeros(shape), halo_zeros(shape), halo_zeros(shape)
         inside, pushed, left = (interior(v, shape) for v in (x, b, r))
@@ -115,6 +118,7 @@ class MultigridSolver:
             pushed[:] = -free * system.pressure_force(p - penalty * compression)
             subtract_product(system.stencil, x, b, r)
             out_u[:] = -left
+            out_u[:, [0, -1]] *= share
             out_p[:] = weight * (system.volume_change(u) - compression)
             return out
 
@@ -127,11 +131,14 @@ class MultigridSolver:
             out_p[:] = -self.schur.solve(r_p - volume * f32(mean / total)) - f32(mean * self.rest)
             out_p -= self.lubrication.solve(r_p)
             pressure = out_p - penalty * system.compression(out_p)
-            inside[:] = free * (r_u - system.pressure_force(pressure))
+            inside[:] = r_u
+            inside[:, [0, -1]] /= share
+            inside[:] = free * (inside - system.pressure_force(pressure))
             out_u[:] = interior(self.hierarchy.cycle(x), shape)
             return out
 
         b0 = np.concatenate([rhs.displacement.ravel(), (weight * rhs.volume).ravel()])
+        split(b0)[0][:, [0, -1]] *= share
         most = longest(b0.size) if limit is None else min(limit, longest(b0.size))
         # a preconditioner may blow up where the layer snaps: Newton's method then tries otherwise
         with np.errstate(over="ignore", invalid="ignore"):

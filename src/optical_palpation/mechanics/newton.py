@@ -14,7 +14,16 @@ from .direct import DirectSolver, direct_solver
 from .elimination import Box, part, put_back, unbalanced_columns
 from .friction import Ahead
 from .grid import face_and_sides
-from .iteration import DAMPING, Direction, HardSystem, NotConverged, Tolerances, iterate, met
+from .iteration import (
+    DAMPING,
+    SOFTENING,
+    Direction,
+    HardSystem,
+    NotConverged,
+    Tolerances,
+    iterate,
+    met,
+)
 from .krylov import MultigridSolver
 from .path import Drag, LoadNotReached, Path
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
@@ -226,7 +235,8 @@ def _newton_step(
 ) -> Direction[Balance]:
     """Return where fractions of a Newton step lead."""
     viscosity = 0.0 if now.drag is None else now.drag.viscosity
-    system = assemble(problem, now, solver, viscosity + damping)
+    softness = SOFTENING * damping / (_stiffness(problem) * problem.shear_modulus)
+    system = assemble(problem, now, solver, viscosity + damping, softness)
     return _direction(problem, now, system, solver, tolerances)
 
 
@@ -353,6 +363,7 @@ class _Elimination:
             force=factor * force,
             volume=max(looser * self.tolerances.volume, _KEEP * now.volume_error),
             iterations=self.due.iterations,
+            nearly=0.0,
         )
         if met(now, wanted):
             return state

@@ -312,7 +312,7 @@ class Path(Generic[AnyState]):
                 trial = self.state.towards(full if self.before is None else self.before, load)
             wanted = self.tolerances if exact else self.intermediate
             try:
-                now, count = self._reach(trial, replace(wanted, krylov=_KRYLOV), nearly=NEARLY[0])
+                now, count = self._reach(trial, replace(wanted, krylov=_KRYLOV, nearly=NEARLY[0]))
             except NotConverged as failure:
                 if self.spent > _FOLLOWED:
                     raise self._stopped(failure) from None
@@ -437,11 +437,10 @@ class Path(Generic[AnyState]):
         trial: AnyState,
         wanted: Tolerances,
         drag: Drag[AnyState] | None = None,
-        nearly: float = 0.0,
     ) -> tuple[Reached[AnyState], int]:
         """Equilibrium at the load of ``trial``, and the iterations; all of them are counted.
 
-        Where Newton's method fails, what has a share ``nearly`` out of balance counts as one.
+        Where Newton's method fails, what is ``nearly`` one counts as one.
         """
 
         def count(iteration: int, now: Any, krylov: int) -> None:
@@ -452,7 +451,7 @@ class Path(Generic[AnyState]):
         try:
             return self.loaded.equilibrate(trial, wanted, count, drag)
         except NotConverged as failure:
-            if failure.nearest and failure.nearest[0].force_error < nearly:
+            if failure.nearest and failure.nearest[0].force_error < wanted.nearly:
                 return failure.nearest
             raise
 

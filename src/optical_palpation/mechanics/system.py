@@ -151,18 +151,25 @@ def with_prescribed(du: Vector, prescribed: Array) -> Vector:
 
 
 def assemble(
-    problem: LayerProblem, now: Balance, solver: LinearSolver, damping: float = 0.0
+    problem: LayerProblem,
+    now: Balance,
+    solver: LinearSolver,
+    resistance: float = 0.0,
+    softness: float = 0.0,
 ) -> NewtonSystem:
     """Assemble the tangent of the state that has the balance ``now``, for a linear solver.
 
-    ``damping``, kPa / mm^2, is a resistance of each volume to being displaced by the step, in the
-    tangent alone. The tangent passes through memory plane by plane of nodes, from which the solver
-    stores what it needs.
+    ``resistance``, kPa / mm^2, is that of each volume to being displaced by the step, ``softness``,
+    1 / kPa, a compressibility beside that of the body; both are in the tangent alone. The tangent
+    passes through memory plane by plane of nodes, from which the solver stores what it needs.
     """
     grid, contact = problem.grid, now.contact
     nz1, ny1, nx1 = grid.node_shape
     faces = ((WINDOW, 0), (SAMPLE, nz1 - 1))
     free = _free(problem, contact)
+    bulk_modulus = 1.0 / (1.0 / problem.bulk_modulus + softness)
+    # the penalty of a solver that condenses pressures is the bulk modulus
+    gamma = bulk_modulus if solver.gamma == problem.bulk_modulus else solver.gamma
     divergence = np.empty((*grid.shape[:2], 24, grid.shape[2]), solver.dtype)
     system = NewtonSystem(
         stencil=solver.stencil,
@@ -173,8 +180,8 @@ def assemble(
         free=free,
         volume=now.volume_ref,
         flow=None if now.flow is None else now.flow.astype(solver.dtype),
-        bulk_modulus=problem.bulk_modulus,
-        gamma=solver.gamma,
+        bulk_modulus=bulk_modulus,
+        gamma=gamma,
         vertical_rows=np.empty((2, ny1, 27, 3, nx1), solver.dtype),
         face_columns={},
     )
@@ -182,11 +189,11 @@ def assemble(
     # that nothing holds sideways; it does not enter the residual.
     hold = 1e-6 * problem.shear_modulus * grid.spacing[0]
     sides = [] if problem.border is None else problem.border.side_stiffness(now.state.u)
-    planes = problem.body.tangent_planes(now.state.u, now.state.p, solver.gamma, divergence)
+    planes = problem.body.tangent_planes(now.state.u, now.state.p, gamma, divergence)
     for k, plane in enumerate(planes):
         diagonal = plane[:, 13, :, :nx1]
-        if damping > 0:
-            diagonal[:, [0, 4, 8]] += (damping * grid.node_volumes[k])[:, None]
+        if resistance > 0:
+            diagonal[:, [0, 4, 8]] += (resistance * grid.node_volumes[k])[:, None]
         if problem.border is not None:
             problem.border.add_stiffness(plane, k, sides)
         system.sides.add_stiffness(plane, k)

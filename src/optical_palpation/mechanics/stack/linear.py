@@ -116,12 +116,14 @@ class StackEquations:
     """Linearised equations of two bodies, of their ``interface`` and of their outer faces.
 
     ``outer`` is the contact of the first body's face towards -z and of the second's towards +z with
-    rigid planes.
+    rigid planes. ``softness``, 1 / kPa, is a compressibility beside that of bodies of a stiffness
+    factor of 1.
     """
 
     bodies: tuple[BodyEquations, BodyEquations]
     outer: tuple[Surface, Surface]
     interface: Coupling
+    softness: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,13 +217,12 @@ class _System:
         factors = [body.factor.astype(np.float32) for body in bodies]
         gammas = [g * f for g, f in zip(solver.penalties, factors, strict=True)]
         self.penalty = [g / v for g, v in zip(gammas, self.volume, strict=True)]
+        moduli = [1.0 / (1.0 / b.law.bulk_modulus + equations.softness) for b in bodies]
         self.compressibility = [
-            v / body.bulk_modulus.astype(np.float32)
-            for v, body in zip(self.volume, bodies, strict=True)
+            v / (np.float32(k) * f) for v, k, f in zip(self.volume, moduli, factors, strict=True)
         ]
         self.coupling = [
-            np.float32(1 - g / body.law.bulk_modulus)
-            for g, body in zip(solver.penalties, bodies, strict=True)
+            np.float32(1 - g / k) for g, k in zip(solver.penalties, moduli, strict=True)
         ]
         self.weight = [
             ((np.float32(body.law.shear_modulus) * f + g) / np.cbrt(v)).astype(np.float32)
@@ -229,8 +230,10 @@ class _System:
         ]
         #: Volumes over stiffness factors, to which Schur complements are in proportion.
         self.softness = [v / f for v, f in zip(self.volume, factors, strict=True)]
-        for schur, soft, body in zip(solver.schur, self.softness, bodies, strict=True):
-            schur.prepare(soft, body.law.bulk_modulus)
+        for schur, soft, k in zip(solver.schur, self.softness, moduli, strict=True):
+            schur.prepare(soft, k)
+        #: Of an imbalance at a contact, the share that this leaves to the body.
+        self.shares = [(body, k, self._share(body, each)) for body, k, each in self._surfaces()]
         self._assemble()
         modes = [
             [np.ones_like(v) if n == m else np.zeros_like(v) for m, v in enumerate(self.volume)]
@@ -252,6 +255,14 @@ class _System:
             free[body][2, k] = ~surface.rigid
             step[body][2, k] = np.where(surface.rigid, surface.step, 0.0)
         return free, step
+
+    def _share(self, body: int, surface: Surface) -> Vector:
+        """Of an imbalance of a face, (3, ny + 1, nx + 1), the share that contact does not take."""
+        part = self.solver.bodies[body]
+        modulus = part.law.shear_modulus * float(np.median(part.factor))
+        own = part.grid.areas * modulus / part.grid.spacing[0]
+        taken = np.abs([surface.friction[0, 0], surface.friction[1, 1], surface.spring])
+        return (own / (own + taken)).astype(np.float32)
 
     def _surfaces(self) -> list[tuple[int, int, Surface]]:
         """Body, plane of nodes and linearised contact of the outer faces and the slaves."""
@@ -399,9 +410,8 @@ class _System:
                 self.weight, equations, self.volume_change(self.prescribed), strict=True
             )
         ]
-        solution, iterations = gmres(
-            self._operator, self._precondition, self._join(rhs_u, rhs_p), tolerance, _LONGEST
-        )
+        whole = self._join(self._shared(rhs_u), rhs_p)
+        solution, iterations = gmres(self._operator, self._precondition, whole, tolerance, _LONGEST)
         u, dp = self._split(solution)
         u = [x + s for x, s in zip(u, self.prescribed, strict=True)]
         reactions = self._reactions(residual, u, dp)
@@ -430,8 +440,9 @@ class _System:
         u, p = self._split(v)
         force = self.pressure_force([c * q for c, q in zip(self.coupling, p, strict=True)])
         change = self.volume_change(u)
+        balance = self.masked([a + b for a, b in zip(self.product(u), force, strict=True)])
         return self._join(
-            self.masked([a + b for a, b in zip(self.product(u), force, strict=True)]),
+            self._shared(balance),
             [
                 (w * (dv - c * q)).astype(np.float32)
                 for w, dv, c, q in zip(self.weight, change, self.compressibility, p, strict=True)
@@ -439,7 +450,7 @@ class _System:
         )
 
     def _precondition(self, v: Vector) -> Vector:
-        force, change = self._split(v)
+        force, change = self._split(v.copy())
         change = [c / w for c, w in zip(change, self.weight, strict=True)]
         means = np.array([c.sum(dtype=np.float64) for c in change])
         levels = self.uniform @ means
@@ -449,8 +460,16 @@ class _System:
             p.append(-schur.solve(change[n] - share * self.softness[n]))
             p[n] -= np.float32(levels[n])
         pressed = self.pressure_force([c * q for c, q in zip(self.coupling, p, strict=True)])
+        for body, k, left_to_it in self.shares:
+            force[body][:, k] /= left_to_it
         left = self.masked([f - q for f, q in zip(force, pressed, strict=True)])
         return self._join(self.displace(left), p)
+
+    def _shared(self, force: list[Vector]) -> list[Vector]:
+        """Forces weighted by the share that contacts leave to the bodies (in place)."""
+        for body, k, share in self.shares:
+            force[body][:, k] *= share
+        return force
 
     def _join(self, u: list[Vector], p: list[Vector]) -> Vector:
         return np.concatenate([part.ravel() for part in (*u, *p)]).astype(np.float32, copy=False)
