@@ -115,8 +115,7 @@ class ContactLinearisation:
         elastic = node_stiffness(problem.shear_modulus, problem.grid.areas, height) + resistance
         lateral = np.moveaxis(residual[:2, [0, -1]], 1, 0)
         ahead = look_ahead(self.slip, lateral, elastic * problem.slip_length, whole[[0, -1]])
-        turned = ahead.direction - friction_direction(self.slip)
-        coupled = self.coupled[:, None] * turned
+        coupled = self.coupled[:, None] * ahead.turned
         block = self.bound[:, None] / problem.slip_length * ahead.slope
         # not part of the equations; it tells the linear solver that a glued face sticks
         sticks = STIFF * complementarity_scale(problem) * np.array([1.0, 0.0, 1.0])[:, None, None]
@@ -125,7 +124,7 @@ class ContactLinearisation:
             row=self.row + np.array([1.0, -1.0])[:, None, None, None] * coupled,
             block=block,
             change=self.carried[:, None] * ahead.change,
-            turned=self.carried[:, None] * turned,
+            turned=self.carried[:, None] * ahead.turned,
         )
 
     def to_undo(

@@ -63,11 +63,14 @@ class Ahead(NamedTuple):
         Derivative (xx, xy, yy) of s by w there, (m, 3, ...).
     change
         By how much the line is off the law at w, as w.
+    turned
+        ``direction`` less s at w, as w.
     """
 
     direction: Array
     slope: Array
     change: Array
+    turned: Array
 
 
 #: Lateral stiffness of a node in shear moduli times the width of what belongs to it. Measured on
@@ -103,10 +106,10 @@ def look_ahead(w: Array, residual: Array, elastic: Array, bound: Array) -> Ahead
     w, residual = (np.ascontiguousarray(field).reshape(m, 2, -1) for field in (w, residual))
     elastic = np.broadcast_to(elastic, bound.shape)
     elastic, bound = (np.ascontiguousarray(field).reshape(m, -1) for field in (elastic, bound))
-    out = np.empty((m, 7, w.shape[2]))
+    out = np.empty((m, 9, w.shape[2]))
     _look_ahead(w, residual, elastic, bound, out)
-    out = out.reshape(m, 7, *shape)
-    return Ahead(out[:, :2], out[:, 2:5], out[:, 5:])
+    out = out.reshape(m, 9, *shape)
+    return Ahead(out[:, :2], out[:, 2:5], out[:, 5:7], out[:, 7:])
 
 
 @nb.njit(cache=True)
@@ -135,8 +138,9 @@ def _look_ahead(w, residual, elastic, bound, out):
             dx, dy = x - v * nx, y - v * ny
             out[f, 0, i], out[f, 1, i] = v / q * nx, v / q * ny
             out[f, 2, i], out[f, 3, i], out[f, 4, i] = xx, xy, yy
-            out[f, 5, i] = v / q * nx + xx * dx + xy * dy - now * x
-            out[f, 6, i] = v / q * ny + xy * dx + yy * dy - now * y
+            out[f, 7, i], out[f, 8, i] = v / q * nx - now * x, v / q * ny - now * y
+            out[f, 5, i] = out[f, 7, i] + xx * dx + xy * dy
+            out[f, 6, i] = out[f, 8, i] + xy * dx + yy * dy
 
 
 def remembered(w: Array) -> Array:

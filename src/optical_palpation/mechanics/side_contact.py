@@ -185,8 +185,7 @@ class SideContact:
 
     def turned(self, ahead: Ahead) -> Array:
         """What friction (x, y) will be beyond that of the state, (2, n), mN."""
-        assert self._slip is not None
-        return (self.bound[:, None] * (ahead.direction - friction_direction(self._slip))).sum(0)
+        return (self.bound[:, None] * ahead.turned).sum(0)
 
     def tangent(self, ahead: Ahead | None) -> SideTangent:
         """Linearise it, friction where it will be."""

@@ -101,7 +101,7 @@ class ContactTerms:
             traction=self.given[:, None] * ahead.direction[0].T,
             stiffness=np.moveaxis(np.array([[xx, xy], [xy, yy]]), 2, 0),
             change=self.bound[:, None] * ahead.change[0].T,
-            turned=self.bound[:, None] * (ahead.direction - friction_direction(w))[0].T,
+            turned=self.bound[:, None] * ahead.turned[0].T,
         )
 
     def rows(self, sliding: Array) -> Array:
