@@ -40,7 +40,7 @@ WORK_NOTES = """\
   pass every array that a kernel reads or writes once per call. Small grids fit into the caches and
   may be faster.
 - *Newton iterations*: on all grids of the nested iteration, and on the finest.
-- *Krylov iterations*: in all linear solves together, each to a relative residual of 1e-2; in the
+- *Krylov iterations*: in all linear solves together, each to a relative residual of 3e-2; in the
   longest one; and how many solves stopped at their limit of 30 (100 on small grids), which happens
   where a layer snaps.
 """

@@ -134,7 +134,7 @@ def test_a_disturbed_corner_is_brought_back_by_itself(solved, monkeypatch):
 
     def iterations(eliminate):
         now, count = equilibrate(problem, start, solver, TOLERANCES, eliminate=eliminate)
-        assert_allclose(now.state.u, solved.state.u, atol=2e-5)
+        assert_allclose(now.state.u, solved.state.u, atol=3e-5)
         return count
 
     # from the first iteration on, not only where Newton's method is slow

@@ -258,9 +258,11 @@ class _System:
 
     def _share(self, body: int, surface: Surface) -> Vector:
         """Of an imbalance of a face, (3, ny + 1, nx + 1), the share that contact does not take."""
-        part = self.solver.bodies[body]
-        modulus = part.law.shear_modulus * float(np.median(part.factor))
-        own = part.grid.areas * modulus / part.grid.spacing[0]
+        solver, grid = self.solver, self.solver.bodies[body].grid
+        moduli = [b.law.shear_modulus * float(np.median(b.factor)) for b in solver.bodies]
+        # of two bodies the softer one gives way
+        between = surface is self.equations.interface.surface
+        own = grid.areas * (min(moduli) if between else moduli[body]) / grid.spacing[0]
         taken = np.abs([surface.friction[0, 0], surface.friction[1, 1], surface.spring])
         return (own / (own + taken)).astype(np.float32)
 

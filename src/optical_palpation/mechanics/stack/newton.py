@@ -11,15 +11,7 @@ from numpy.typing import NDArray
 from ..body import ElementForces
 from ..contact import SMOOTHING
 from ..friction import Ahead
-from ..iteration import (
-    DAMPING,
-    SOFTENING,
-    TOLERANCES,
-    Direction,
-    HardSystem,
-    Tolerances,
-    iterate,
-)
+from ..iteration import DAMPING, SOFTENING, Direction, HardSystem, Tolerances, iterate
 from ..path import Drag
 from ..side_contact import SideContact, SideTangent
 from .contact import ContactFriction, ContactTerms, linearise, remembered
@@ -29,6 +21,9 @@ from .projection import Interface, Plane
 
 Array = NDArray[np.float64]
 
+#: Relative residual to which linear systems are solved: with more, the forces of a stiff body drown
+#: those of a soft one.
+_LINEAR = 1e-2
 #: Stiffness, in shear moduli times an element's width, that holds each node.
 _HOLD = 1e-3
 
@@ -154,17 +149,12 @@ def linearised_friction(
 
 
 def newton_step(
-    stack: Stack,
-    now: Balance,
-    solver: StackSolver,
-    damping: float = 0.0,
-    linear: float = TOLERANCES.linear,
+    stack: Stack, now: Balance, solver: StackSolver, damping: float = 0.0
 ) -> tuple[Array, list[Array], list[Array], int]:
     """Changes of displacement, pressures and contact forces, and the Krylov iterations.
 
     ``damping``, kPa / mm^2, is a resistance of each volume of a stiffness factor of 1 to being
-    displaced by the step, in the tangent alone, with the compressibility that goes with it;
-    ``linear`` is the relative residual to which the linear system is solved.
+    displaced by the step, in the tangent alone, with the compressibility that goes with it.
     """
     state = now.state
     # A trace of stiffness in the tangent alone holds what nothing else holds: rounding errors would
@@ -206,7 +196,7 @@ def newton_step(
         ),
         softness=SOFTENING * damping / (_stiffness(stack) * stack.shear_modulus),
     )
-    step = solver.solve(equations, linear)
+    step = solver.solve(equations, _LINEAR)
     changes = [
         reaction.ravel() / term.projection.push[:, 2]
         for reaction, term in zip(step.reactions, now.terms, strict=True)
@@ -238,7 +228,7 @@ def equilibrate(
     """
 
     def direction(now: Balance, damping: float) -> Direction[Balance]:
-        du, dp, dn, krylov = newton_step(stack, now, solver, damping, tolerances.linear)
+        du, dp, dn, krylov = newton_step(stack, now, solver, damping)
         if not np.isfinite(du).all():
             raise HardSystem("the linear system could not be solved")
 
