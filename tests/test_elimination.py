@@ -112,10 +112,14 @@ def test_boxes_hold_what_is_out_of_balance_and_share_none_but_held_columns():
     assert unbalanced_columns(np.ones((40, 50)), 3, 0.35) == []
 
 
+#: So that two ways to an equilibrium can be told apart by less than they are let to differ.
+EXACT = replace(TOLERANCES, force=0.1 * TOLERANCES.force)
+
+
 @pytest.fixture(scope="module")
 def solved():
     problem = layer()
-    return solve(problem, lambda level: expected_forces(level, LAW), tolerances=TOLERANCES)
+    return solve(problem, lambda level: expected_forces(level, LAW), tolerances=EXACT)
 
 
 def disturbed(solved, width=3):
@@ -133,8 +137,8 @@ def test_a_disturbed_corner_is_brought_back_by_itself(solved, monkeypatch):
     assert balance(problem, start).force_error > 0.05
 
     def iterations(eliminate):
-        now, count = equilibrate(problem, start, solver, TOLERANCES, eliminate=eliminate)
-        assert_allclose(now.state.u, solved.state.u, atol=3e-5)
+        now, count = equilibrate(problem, start, solver, EXACT, eliminate=eliminate)
+        assert_allclose(now.state.u, solved.state.u, atol=2e-5)
         return count
 
     # from the first iteration on, not only where Newton's method is slow
