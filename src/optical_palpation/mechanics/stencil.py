@@ -29,7 +29,7 @@ from .lanes import FAST, LARGEST, L
 
 #: Nodes below which a grid is left to one thread: to wake others takes longer than they save.
 _NODES_OF_ONE_THREAD = 20000
-#: How many there are beside it.
+#: Threads that were there before a small grid was left to one.
 _allowed = ContextVar("threads", default=1)
 #: Entries of one neighbour of the lanes.
 _BLOCK = 9 * L
@@ -91,13 +91,12 @@ def threads_for(node_shape: tuple[int, ...]) -> Iterator[None]:
 
 
 @contextmanager
-def all_threads() -> Iterator[int]:
-    """Give all threads to long work on a grid that is left to one; yields their number."""
+def all_threads() -> Iterator[None]:
+    """Give all threads to long work on a grid that is left to one."""
     before = nb.get_num_threads()
-    number = max(before, _allowed.get())
-    nb.set_num_threads(number)
+    nb.set_num_threads(max(before, _allowed.get()))
     try:
-        yield number
+        yield
     finally:
         nb.set_num_threads(before)
 
