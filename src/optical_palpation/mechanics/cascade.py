@@ -57,6 +57,8 @@ _QUICK = 30_000
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.
 _KEPT = 0.5
+#: What two iterations leave of an error, at least, that they hardly make smaller.
+_HARDLY = 1 / 3
 #: What is as good as at rest on a coarser grid, if it came there against drag: what is left is less
 #: than what the next grid adds.
 _RESTING = 1000.0
@@ -365,15 +367,17 @@ class _Nested:
         tuple
             The state nearest to equilibrium, and whether it is one.
         """
-        least = np.inf
+        errors: list[float] = []
 
         def report(iteration: int, now: Balance, krylov: int) -> None:
-            nonlocal least
             if self.on_iteration:
                 self.on_iteration(level, state.load, iteration, now, krylov)
-            if least < min(nearly, now.force_error):
-                raise NotConverged("the error grows again, nearly in equilibrium")
-            least = min(least, now.force_error)
+            errors.append(error(now))
+            if min(errors) < nearly and errors[-1] > _HARDLY * min(errors[:-2], default=np.inf):
+                raise NotConverged("nearly in equilibrium, and hardly nearer after two iterations")
+
+        def error(now: Balance) -> float:
+            return now.resultant_error if now.force_error < NEARLY[1] else np.inf
 
         linear = make_solver(level, self.solver)
         due = CARRIED if level.grid.n_elements > _QUICK else None
@@ -383,7 +387,7 @@ class _Nested:
             if failure.nearest is None:
                 raise
             now, count = failure.nearest
-            if now.force_error >= nearly:
+            if error(now) >= nearly:
                 return now.state, False
         self.record.append((level.grid.n_elements, state.load, count))
         return now.state, True

@@ -159,10 +159,12 @@ def iterate(
     damping, krylov = 0.0, 0
     try:
         for iteration in range(tolerances.iterations):
-            if on_iteration:
-                on_iteration(iteration, now, krylov)
             errors.append(now.force_error)
             merits.append(now.merit)
+            if eliminate and not met(now, tolerances):
+                now = eliminate(now, errors) or now
+            if on_iteration:
+                on_iteration(iteration, now, krylov)
             if now.force_error < nearest.force_error:
                 nearest, number = now, iteration
             patience = tolerances.patience
@@ -172,10 +174,6 @@ def iterate(
                 raise NotConverged("Newton's method stagnates")
             if iteration > 0 and met(now, tolerances):
                 return now, iteration
-            if eliminate:
-                now = eliminate(now, errors) or now
-                if iteration > 0 and met(now, tolerances):
-                    return now, iteration
             krylov = 0
             for _ in range(_ATTEMPTS):
                 step = linearise(now, damping)

@@ -25,7 +25,7 @@ from .iteration import (
     met,
 )
 from .krylov import MultigridSolver
-from .path import Drag, LoadNotReached, Path
+from .path import Drag
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .side_contact import SideContact, side_contact
 from .side_flow import SideFlow
@@ -100,25 +100,23 @@ class Due:
     """When the columns that are out of balance are solved alone.
 
     After ``first`` iterations, where the ``last`` ones left more than a share ``left`` of the
-    error, and the columns are at most a share ``most`` of the layer. They are given up after
-    ``iterations``. In a layer that was ``carried`` to another grid their volumes may be as much
-    looser than the whole layer's as their forces, and where they find no equilibrium they may come
-    to rest against drag. Where the load is followed neither pays: thin layers that stick ask for
-    volumes as good as the whole layer's.
+    error, and the columns are at most a share ``most`` of the layer. In a layer that was
+    ``carried`` to another grid their volumes may be as much looser than the whole layer's as their
+    forces, and where they find no equilibrium what is nearest to one will do. Where the load is
+    followed neither pays: thin layers that stick ask for volumes as good as the whole layer's.
     """
 
     first: int
     last: int
     left: float
     most: float
-    iterations: int
     carried: bool
 
 
 #: Where Newton's method is slow, and in a layer that was carried over to a fine grid, where an
 #: iteration of the whole takes as long as many of a small part.
-SLOW = Due(4, 2, 0.5, 0.35, 25, carried=False)
-CARRIED = Due(2, 1, 0.1, 0.06, 8, carried=True)
+SLOW = Due(4, 2, 0.5, 0.35, carried=False)
+CARRIED = Due(2, 1, 0.1, 0.06, carried=True)
 
 
 @dataclass
@@ -150,6 +148,21 @@ class Balance:
     imbalance: float
     force_error: float
     volume_error: float
+
+    @property
+    def columns(self) -> Array:
+        """Square of what is out of balance in each column, (ny + 1, nx + 1), mN^2."""
+        return (self.residual**2).sum((0, 1)) + (self.contact.violation**2).sum(0)
+
+    @property
+    def resultant_error(self) -> float:
+        """How much what is out of balance may change the force that the layer carries.
+
+        The 2-norms of what is out of balance in each column, summed, as a share of that force.
+        Where a few columns hold nearly all of it, that is far less than ``force_error``.
+        """
+        force = float(np.abs(self.state.normal_force[SAMPLE]).sum())
+        return float(np.sqrt(self.columns).sum()) / max(force, 1e-30)
 
 
 def balance(
@@ -322,8 +335,7 @@ class _Elimination:
             return None
         if errors[-1] <= due.left * errors[-1 - due.last]:
             return None
-        imbalance = (now.residual**2).sum((0, 1)) + (now.contact.violation**2).sum(0)
-        boxes = unbalanced_columns(imbalance, self.margin, due.most)
+        boxes = unbalanced_columns(now.columns, self.margin, due.most)
         if not boxes:
             return None
         solved = now
@@ -362,7 +374,6 @@ class _Elimination:
             self.tolerances,
             force=factor * force,
             volume=max(looser * self.tolerances.volume, _KEEP * now.volume_error),
-            iterations=self.due.iterations,
             nearly=0.0,
         )
         if met(now, wanted):
@@ -371,17 +382,14 @@ class _Elimination:
         iterative = MultigridSolver(problem.grid, problem.shear_modulus, free)
         solver = Solvers(iterative, direct_solver(problem))
         try:
-            found = equilibrate(problem, own, solver, wanted, drag=drag)[0].state
-        except NotConverged:
-            if drag is not None or not self.due.carried:
+            found = equilibrate(problem, own, solver, wanted, drag=drag)[0]
+        except NotConverged as failure:
+            if not self.due.carried or failure.nearest is None:
                 return state
-            path = Path(LoadedLayer(problem, solver, None), wanted, wanted, own)
-            try:
-                path.settle()
-            except LoadNotReached:
+            found = failure.nearest[0]
+            if found.imbalance > _NEARER * now.imbalance:
                 return state
-            found = path.state
-        return put_back(state, box, problem, found)
+        return put_back(state, box, problem, found.state)
 
 
 def equilibrate(
