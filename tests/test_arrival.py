@@ -12,7 +12,7 @@ import robustness
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics import path
-from optical_palpation.mechanics.cascade import make_solver
+from optical_palpation.mechanics.cascade import _Nested, make_solver
 from optical_palpation.mechanics.iteration import TOLERANCES, NotConverged, relaxed
 from optical_palpation.mechanics.newton import LoadedLayer, balance
 from optical_palpation.mechanics.schur import Lubrication
@@ -54,6 +54,27 @@ def test_a_full_load_without_equilibrium_is_not_called_a_part_of_it(monkeypatch)
     said = "loaded fully, but did not come to equilibrium there: the layer does not come to rest"
     with pytest.raises(ConvergenceError, match=said):
         tilted(0.2)
+
+
+def test_elements_on_which_the_full_load_was_reached_are_named(monkeypatch):
+    """And the layer arrives on these."""
+    loaded = _Nested._loaded
+
+    def stops(nested, level, carried):
+        if level is nested.problem:
+            raise path.LoadNotReached(0.7, "the finest stops")
+        return loaded(nested, level, carried)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(_Nested, "_loaded", stops)
+        for way in ("_carried_over", "_settled"):
+            patched.setattr(_Nested, way, lambda *given: None)
+        with pytest.raises(ConvergenceError, match=r"stops.* full load on some of") as failure:
+            tilted(0.3, 0.08)
+    said = re.search(r"on some of (\S+) x (\S+) x (\S+) mm", str(failure.value))
+    sizes = tuple(map(float, said.groups()))
+    assert sizes[0] == pytest.approx(0.16, rel=0.1)
+    assert tilted(0.3, sizes).maps.attrs["status"] == "converged"
 
 
 @pytest.mark.parametrize(

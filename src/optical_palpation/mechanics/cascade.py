@@ -262,11 +262,14 @@ class _Nested:
                 state = self._carried_over(level, carried)
             try:
                 state = state or self._loaded(level, carried)
-            except LoadNotReached:
+            except LoadNotReached as failure:
                 if carried:
                     state = self._settled(level, carried)
                 # what a coarse grid cannot bear a finer one may
                 if state is None and level is self.problem:
+                    if coarser:
+                        z, y, x = coarser[0].grid.spacing
+                        failure.elements = x, y, z
                     raise
         assert state is not None  # there is at least one level
         return Solution(self.problem, state, self.record, coarser)

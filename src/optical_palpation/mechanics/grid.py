@@ -68,14 +68,16 @@ class LayerGrid:
         nodes[2] = self.depth[:, None, None] * self.thickness
         return nodes
 
+    @property
+    def node_widths(self) -> list[Array]:
+        """What belongs to the nodes along the axes (depth, y, x)."""
+        halves = [0.5 * np.diff(nodes) for nodes in self.node_axes]
+        return [np.concatenate([half, [0]]) + np.concatenate([[0], half]) for half in halves]
+
     @cached_property
     def node_volumes(self) -> Array:
         """Tributary volumes of the unloaded nodes, (nz + 1, ny + 1, nx + 1), mm^3."""
-        shares = []
-        for nodes in (self.depth, self.y, self.x):
-            half = 0.5 * np.diff(nodes)
-            shares.append(np.concatenate([half, [0]]) + np.concatenate([[0], half]))
-        z, y, x = np.ix_(*shares)
+        z, y, x = np.ix_(*self.node_widths)
         return z * y * x * self.thickness
 
     @cached_property

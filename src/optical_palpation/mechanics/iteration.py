@@ -111,9 +111,8 @@ _MEMORY = 4
 #: Least damping of a step that otherwise fails, in shear moduli per height squared.
 DAMPING = 30.0
 #: Compressibility beside that of a body that goes with damping of one shear modulus per height
-#: squared, in reciprocal shear moduli. Else a step must take away all of the violation of
-#: J - 1 = p / K, and the more it is damped, the larger the forces that this takes.
-SOFTENING = 1e-3
+#: squared, in reciprocal shear moduli.
+_SOFTENING = 1e-3
 #: How often a step is tried, with ever more damping.
 _ATTEMPTS = 6
 #: Share of its smallest volume ratio that a body must keep in a step.
@@ -197,6 +196,15 @@ def iterate(
     except NotConverged as failure:
         failure.nearest = nearest, number
         raise
+
+
+def softness(damping: float, stiffness: float, shear_modulus: float) -> float:
+    """Compressibility of a damped step beside that of the body, 1 / kPa.
+
+    Else the step must take away all of the violation of J - 1 = p / K, and the more it is damped,
+    the larger the forces that this takes. ``stiffness`` is one shear modulus per height squared.
+    """
+    return _SOFTENING * damping / (stiffness * shear_modulus)
 
 
 def met(now: Iterate, tolerances: Tolerances) -> bool:

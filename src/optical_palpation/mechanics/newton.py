@@ -16,17 +16,18 @@ from .friction import Ahead
 from .grid import face_and_sides
 from .iteration import (
     DAMPING,
-    SOFTENING,
     Direction,
     HardSystem,
     NotConverged,
     Tolerances,
     iterate,
     met,
+    softness,
 )
 from .krylov import MultigridSolver
 from .path import Drag
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
+from .resistance import own_resistance, resistance
 from .side_contact import SideContact, side_contact
 from .side_flow import SideFlow
 from .stencil import threads_for
@@ -172,7 +173,7 @@ def balance(
     body = problem.body.forces(state.u, state.p)
     force, volume, volume_ref = body.force, body.volume, body.reference_volume
     if drag is not None:
-        force += drag.viscosity * problem.grid.node_volumes * (state.u - drag.origin.u)
+        force += drag.viscosity * resistance(problem.grid, state.u - drag.origin.u)
     if problem.border is not None:
         problem.border.add_resistance(state.u, force)
     w = slip_coordinate(problem, state)
@@ -195,13 +196,13 @@ def balance(
     problem.hold_sides(out, 0.0)
     violation = np.linalg.norm(contact.violation)
     imbalance = float(np.hypot(np.linalg.norm(out), violation))
-    whole, resistance = np.zeros((2, *problem.grid.node_shape))
+    whole, dragged = np.zeros((2, *problem.grid.node_shape))
     whole[[0, -1]] = contact.carried
     whole[sides.nodes] += sides.bound.sum(0)
     if drag is not None:
-        resistance = drag.viscosity * problem.grid.node_volumes
-    friction = contact.friction(problem, out, whole, resistance[[0, -1]])
-    side_friction = sides.friction(out, whole, resistance[sides.nodes])
+        dragged = drag.viscosity * own_resistance(problem.grid)
+    friction = contact.friction(problem, out, whole, dragged[[0, -1]])
+    side_friction = sides.friction(out, whole, dragged[sides.nodes])
     eased = out.copy()
     eased[:2, [0, -1]] += np.moveaxis(friction.turned, 0, 1)
     if side_friction is not None:
@@ -248,8 +249,8 @@ def _newton_step(
 ) -> Direction[Balance]:
     """Return where fractions of a Newton step lead."""
     viscosity = 0.0 if now.drag is None else now.drag.viscosity
-    softness = SOFTENING * damping / (_stiffness(problem) * problem.shear_modulus)
-    system = assemble(problem, now, solver, viscosity + damping, softness)
+    soft = softness(damping, _stiffness(problem), problem.shear_modulus)
+    system = assemble(problem, now, solver, viscosity + damping, soft)
     return _direction(problem, now, system, solver, tolerances)
 
 
@@ -460,6 +461,11 @@ class LoadedLayer:
     def volumes(self) -> Array:
         """Volume of each node, (n), mm^3."""
         return self.problem.grid.node_volumes.ravel()
+
+    def resistance(self, moved: Array) -> Array:
+        """Forces, mN, of unit resistance (1 kPa / mm^2) to displacements, mm; both (3, n)."""
+        grid = self.problem.grid
+        return resistance(grid, moved.reshape(3, *grid.node_shape)).reshape(3, -1)
 
     def displacement(self, state: LayerState) -> Array:
         """Displacement (x, y, z) of the nodes, (3, n), mm."""

@@ -83,8 +83,8 @@ Taken = TypeVar("Taken", bound=Loadable, contravariant=True)
 class Drag(Generic[AnyState]):
     """One implicit Euler step of bodies in honey, from the state ``origin``.
 
-    ``viscosity`` is the force per volume and displacement, kPa / mm^2. Friction of each contact is
-    bounded by given normal forces, ``bound``, mN: where it is bounded by those that are sought,
+    ``viscosity``, kPa / mm^2, is that by which ``resistance`` holds them. Friction of each contact
+    is bounded by given normal forces, ``bound``, mN: where it is bounded by those that are sought,
     nodes at free edges stick, lose contact, slip back and touch again for ever.
     """
 
@@ -111,6 +111,10 @@ class Loaded(Protocol[AnyState]):
     @property
     def volumes(self) -> Array:
         """Volume of each node, (n), mm^3."""
+        ...
+
+    def resistance(self, moved: Array) -> Array:
+        """Forces, mN, of unit resistance (1 kPa / mm^2) to displacements, mm; both (3, n)."""
         ...
 
     def displacement(self, state: AnyState) -> Array:
@@ -196,7 +200,13 @@ class Guide(Generic[AnyState]):
 
 
 class LoadNotReached(Exception):
-    """The load path ended early; carries the load reached and the last reason."""
+    """The load path ended early; carries the load reached and the last reason.
+
+    ``elements`` are the sizes (x, y, z), mm, of larger elements on which the full load was reached,
+    if there are any.
+    """
+
+    elements: tuple[float, float, float] | None = None
 
     def __init__(self, load: float, reason: str) -> None:
         self.load = load
@@ -464,7 +474,7 @@ class Path(Generic[AnyState]):
     def _force(self, drag: Drag[AnyState], state: AnyState) -> float:
         """What the drag of a step held, as a 2-norm, mN."""
         moved = self.loaded.displacement(state) - self.loaded.displacement(drag.origin)
-        return float(np.linalg.norm(drag.viscosity * self.loaded.volumes * moved))
+        return float(np.linalg.norm(drag.viscosity * self.loaded.resistance(moved)))
 
     def _accept(self, state: AnyState, iterations: int) -> None:
         self.record.append((state.load, iterations))

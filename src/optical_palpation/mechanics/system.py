@@ -14,6 +14,7 @@ from optical_palpation.parallel import in_parallel
 from .contact import ContactLinearisation, FaceFriction
 from .lanes import FAST
 from .problem import SAMPLE, WINDOW, LayerProblem
+from .resistance import add_resistance, own_resistance
 from .side_contact import SideTangent
 from .side_flow import SideFlow
 from .stencil import constrain
@@ -189,11 +190,12 @@ def assemble(
     # that nothing holds sideways; it does not enter the residual.
     hold = 1e-6 * problem.shear_modulus * grid.spacing[0]
     sides = [] if problem.border is None else problem.border.side_stiffness(now.state.u)
+    own = own_resistance(grid) if resistance > 0 else None
     planes = problem.body.tangent_planes(now.state.u, now.state.p, gamma, divergence)
     for k, plane in enumerate(planes):
         diagonal = plane[:, 13, :, :nx1]
-        if resistance > 0:
-            diagonal[:, [0, 4, 8]] += (resistance * grid.node_volumes[k])[:, None]
+        if own is not None:
+            add_resistance(plane, k, grid, resistance, own)
         if problem.border is not None:
             problem.border.add_stiffness(plane, k, sides)
         system.sides.add_stiffness(plane, k)

@@ -230,9 +230,13 @@ def computational_stress(
                 on_iteration=report,
             )
     except LoadNotReached as failure:
+        larger = "larger elements"
+        if failure.elements:
+            x, y, z = failure.elements
+            larger += f" (it came to the full load on some of {x:.2g} x {y:.2g} x {z:.2g} mm)"
         raise ConvergenceError(
             f"the layer was loaded {failure.how_far()}: {failure.reason}. Try a stronger "
-            "imprint_smoothing, larger elements, less friction or other edges; and check that the "
+            f"imprint_smoothing, {larger}, less friction or other edges; and check that the "
             "thickness map is one a layer of this material can take"
         ) from None
 

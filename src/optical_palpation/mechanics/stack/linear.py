@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from ..body import Body
 from ..krylov import gmres
 from ..multigrid import Hierarchy
+from ..resistance import add_resistance, own_resistance
 from ..schur import SchurComplement
 from ..side_contact import SideTangent
 from ..stencil import (
@@ -97,15 +98,14 @@ class Coupling:
 class BodyEquations:
     """Linearised equations of one body at displacement ``u`` and pressure ``p``.
 
-    ``residual`` are the nodal forces out of balance with the contact forces as they are, mN, and
-    ``diagonal`` stiffness that is added on the diagonal, mN / mm, both of the shape of u; ``sides``
-    what presses the sides; ``volume_residual`` and ``volume`` as of ``ElementForces``.
+    ``residual`` are the nodal forces out of balance with the contact forces as they are, of the
+    shape of u, mN; ``sides`` what presses the sides; ``volume_residual`` and ``volume`` as of
+    ``ElementForces``.
     """
 
     u: Array
     p: Array
     residual: Array
-    diagonal: Array
     sides: SideTangent
     volume_residual: Array
     volume: Array
@@ -116,13 +116,16 @@ class StackEquations:
     """Linearised equations of two bodies, of their ``interface`` and of their outer faces.
 
     ``outer`` is the contact of the first body's face towards -z and of the second's towards +z with
-    rigid planes. ``softness``, 1 / kPa, is a compressibility beside that of bodies of a stiffness
+    rigid planes. All nodes are held by a stiffness ``hold``, mN / mm, and by ``resistance``,
+    kPa / mm^2. ``softness``, 1 / kPa, is a compressibility beside that of bodies of a stiffness
     factor of 1.
     """
 
     bodies: tuple[BodyEquations, BodyEquations]
     outer: tuple[Surface, Surface]
     interface: Coupling
+    hold: float = 0.0
+    resistance: float = 0.0
     softness: float = 0.0
 
 
@@ -274,7 +277,8 @@ class _System:
 
     def _assemble(self) -> None:
         """Store the stencils: Cartesian ones for products, those of the two hierarchies."""
-        solver, outer = self.solver, self.equations.outer
+        solver, outer, much = self.solver, self.equations.outer, self.equations.resistance
+        own = [own_resistance(body.grid) for body in solver.bodies] if much > 0 else []
         slave, master = solver.slave, solver.master
         z, y, x = solver.glued.levels[0].node_shape
         glued = np.zeros((y, 27, 9, padded(x)), np.float32)
@@ -293,7 +297,9 @@ class _System:
             )
             for k, plane in enumerate(planes):
                 diagonal = plane[:, 13, :, :nx1]
-                diagonal[:, [0, 4, 8]] += equations.diagonal[:, k].swapaxes(0, 1)
+                diagonal[:, [0, 4, 8]] += self.equations.hold
+                if much > 0:
+                    add_resistance(plane, k, solver.bodies[body].grid, much, own[body])
                 equations.sides.add_stiffness(plane, k)
                 if k == k_outer:
                     diagonal[:, [0, 1, 3, 4]] += _blocks(outer[body].friction)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..body import ElementForces
 from ..contact import SMOOTHING
 from ..friction import Ahead
-from ..iteration import DAMPING, SOFTENING, Direction, HardSystem, Tolerances, iterate
+from ..iteration import DAMPING, Direction, HardSystem, Tolerances, iterate, softness
 from ..path import Drag
 from ..side_contact import SideContact, SideTangent
 from .contact import ContactFriction, ContactTerms, linearise, remembered
@@ -97,7 +97,7 @@ def balance(
         part.force[:, *side.nodes] += side.force
     out = np.concatenate([part.force.reshape(3, -1).T for part in parts])
     if drag is not None:
-        out += drag.viscosity * stack.node_volumes[:, None] * (state.u - drag.origin.u)
+        out += drag.viscosity * stack.resistance(state.u - drag.origin.u)
     for term in terms:
         np.add.at(out, term.projection.nodes, term.residual)
     frictions, side_frictions = linearised_friction(stack, terms, sides, out)
@@ -157,12 +157,7 @@ def newton_step(
     displaced by the step, in the tangent alone, with the compressibility that goes with it.
     """
     state = now.state
-    # A trace of stiffness in the tangent alone holds what nothing else holds: rounding errors would
-    # move it far.
-    hold = _HOLD * stack.shear_modulus * stack.bodies[LAYER].grid.spacing[2]
-    held = np.full((stack.n_nodes, 3), hold)
     viscosity = 0.0 if now.drag is None else now.drag.viscosity
-    held += (viscosity + damping) * stack.node_volumes[:, None]
     residual = now.residual.copy()
     for term, friction in zip(now.terms, now.frictions, strict=True):
         np.add.at(residual, term.projection.nodes, term.along(friction.change))
@@ -174,14 +169,13 @@ def newton_step(
         stack.split(state.u),
         state.p,
         out_of_balance,
-        stack.split(held),
         sides,
         now.bodies,
         strict=True,
     )
     layer, sample = (
-        BodyEquations(u, p, residual, diagonal, side, part.volume_residual, part.reference_volume)
-        for u, p, residual, diagonal, side, part in parts
+        BodyEquations(u, p, residual, side, part.volume_residual, part.reference_volume)
+        for u, p, residual, side, part in parts
     )
     (window, interface, plate), (at_window, between, at_plate) = now.terms, now.frictions
     _, contact, _ = stack.contacts
@@ -194,7 +188,11 @@ def newton_step(
         interface=interface.coupling(
             contact.slaves, contact.master, stack.position(state.u), between
         ),
-        softness=SOFTENING * damping / (_stiffness(stack) * stack.shear_modulus),
+        # A trace of stiffness in the tangent alone holds what nothing else holds: rounding errors
+        # would move it far.
+        hold=_HOLD * stack.shear_modulus * stack.bodies[LAYER].grid.spacing[2],
+        resistance=viscosity + damping,
+        softness=softness(damping, _stiffness(stack), stack.shear_modulus),
     )
     step = solver.solve(equations, _LINEAR)
     changes = [
@@ -262,6 +260,10 @@ class LoadedStack:
     def volumes(self) -> Array:
         """Volume of each node, (n), mm^3."""
         return self.stack.node_volumes
+
+    def resistance(self, moved: Array) -> Array:
+        """Forces, mN, of unit resistance (1 kPa / mm^2) to displacements, mm; both (3, n)."""
+        return self.stack.resistance(moved.T).T
 
     def displacement(self, state: State) -> Array:
         """Displacement (x, y, z) of the nodes, (3, n), mm."""
