@@ -375,12 +375,9 @@ class _Nested:
         def report(iteration: int, now: Balance, krylov: int) -> None:
             if self.on_iteration:
                 self.on_iteration(level, state.load, iteration, now, krylov)
-            errors.append(error(now))
+            errors.append(now.resultant_error)
             if min(errors) < nearly and errors[-1] > _HARDLY * min(errors[:-2], default=np.inf):
                 raise NotConverged("nearly in equilibrium, and hardly nearer after two iterations")
-
-        def error(now: Balance) -> float:
-            return now.resultant_error if now.force_error < NEARLY[1] else np.inf
 
         linear = make_solver(level, self.solver)
         due = CARRIED if level.grid.n_elements > _QUICK else None
@@ -390,7 +387,7 @@ class _Nested:
             if failure.nearest is None:
                 raise
             now, count = failure.nearest
-            if error(now) >= nearly:
+            if now.resultant_error >= nearly:
                 return now.state, False
         self.record.append((level.grid.n_elements, state.load, count))
         return now.state, True

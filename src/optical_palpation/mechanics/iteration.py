@@ -152,7 +152,8 @@ def iterate(
     NotConverged
         When the iterations run out, or no step leads nearer to equilibrium.
     """
-    errors: list[float] = []
+    errors: list[float] = []  # after the step, and after what is solved alone
+    left: list[float] = []
     merits: list[float] = []
     nearest, number = now, 0
     damping, krylov = 0.0, 0
@@ -169,7 +170,8 @@ def iterate(
             patience = tolerances.patience
             if nearest.force_error < tolerances.nearly:
                 patience //= 3
-            if iteration >= patience and min(errors[-patience:]) > 0.3 * errors[-1 - patience]:
+            left.append(now.force_error)
+            if iteration >= patience and min(left[-patience:]) > 0.3 * left[-1 - patience]:
                 raise NotConverged("Newton's method stagnates")
             if iteration > 0 and met(now, tolerances):
                 return now, iteration

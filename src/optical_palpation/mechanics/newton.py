@@ -160,10 +160,14 @@ class Balance:
         """How much what is out of balance may change the force that the layer carries.
 
         The 2-norms of what is out of balance in each column, summed, as a share of that force.
-        Where a few columns hold nearly all of it, that is far less than ``force_error``.
+        Where a few columns hold nearly all of it, that is far less than ``force_error``; it is
+        infinite where one of them holds more than an average one carries.
         """
-        force = float(np.abs(self.state.normal_force[SAMPLE]).sum())
-        return float(np.sqrt(self.columns).sum()) / max(force, 1e-30)
+        force = np.abs(self.state.normal_force[SAMPLE])
+        columns = np.sqrt(self.columns)
+        if columns.max() > force.mean():
+            return np.inf
+        return float(columns.sum() / force.sum())
 
 
 def balance(
