@@ -51,7 +51,7 @@ def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> 
     Notes
     -----
     An estimate with constants that were measured; what it says of thin layers (fewer elements
-    through the thickness than along the sides) is within -15 and +60 %: hard layers need more
+    through the thickness than along the sides) is within -25 and +60 %: hard layers need more
     vectors than easy ones.
     """
     nz1, ny1, nx1 = (n + 1 for n in shape)
