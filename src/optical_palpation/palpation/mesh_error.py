@@ -43,7 +43,7 @@ _LATERAL, _LEAST_LATERAL = np.array([False, True, True]), 4
 _ELEMENTS = 4000
 #: Newton iterations that another grid may take: most layers come to rest in 10 to 90, few that take
 #: more do, and those that do take as long as the solution itself.
-_MOST = 120
+_MOST = 180
 #: Standard deviation, in elements, of the Gaussian over which the error of the map is averaged. The
 #: difference of two solutions has zeros where neither of them is right.
 _AVERAGED = 2.0
