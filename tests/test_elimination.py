@@ -52,10 +52,9 @@ BOXES = [
 ]
 
 
-def test_resultant_error_is_what_a_force_changes_the_whole_by():
+def test_resultant_error_is_what_a_force_changes_the_whole_by(solved):
     """By its share of the whole force where it acts at one node; too much of it never will do."""
-    problem = layer()
-    state = solve(problem, lambda level: expected_forces(level, LAW)).state
+    problem, state = solved.problem, solved.state
     whole = state.normal_force[1].sum()
     average = state.normal_force[1].mean()
 

@@ -6,11 +6,7 @@ from numpy.testing import assert_allclose
 
 from optical_palpation.mechanics.direct import sparse_matrix
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
-from optical_palpation.mechanics.resistance import (
-    add_resistance,
-    own_resistance,
-    resistance,
-)
+from optical_palpation.mechanics.resistance import Resistance
 
 RNG = np.random.default_rng(4)
 
@@ -24,24 +20,24 @@ def uneven(thickness=0.5):
 def matrix(grid, much):
     nz1, ny1, nx1 = grid.node_shape
     planes = np.zeros((nz1, ny1, 27, 9, nx1))
-    own = own_resistance(grid)
+    held = Resistance(grid)
     for k, plane in enumerate(planes):
-        add_resistance(plane, k, grid, much, own)
+        held.add_to(plane, k, much)
     return sparse_matrix(planes, np.ones((3, *grid.node_shape), bool))
 
 
 def test_the_tangent_is_that_of_the_forces_and_symmetric():
     grid = uneven()
     tangent, u = matrix(grid, 7.0), RNG.normal(size=(3, *grid.node_shape))
-    assert_allclose(tangent @ u.ravel(), 7.0 * resistance(grid, u).ravel(), atol=1e-12)
+    assert_allclose(tangent @ u.ravel(), 7.0 * Resistance(grid).force(u).ravel(), atol=1e-12)
     assert abs(tangent - tangent.T).max() < 1e-15
-    assert_allclose(tangent.diagonal(), np.tile(7.0 * own_resistance(grid).ravel(), 3), rtol=1e-12)
+    assert_allclose(tangent.diagonal(), np.tile(7.0 * Resistance(grid).own.ravel(), 3), rtol=1e-12)
 
 
 def test_a_rigid_motion_is_held_by_the_volume_alone():
     grid = uneven()
     u = np.ones((3, *grid.node_shape)) * np.array([1.0, -2.0, 0.5])[:, None, None, None]
-    assert_allclose(resistance(grid, u), grid.node_volumes * u, rtol=1e-12)
+    assert_allclose(Resistance(grid).force(u), grid.node_volumes * u, rtol=1e-12)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -57,7 +53,7 @@ def test_waves_are_held_by_the_square_of_their_number(axis):
         k = np.pi * waves / length
         u = np.cos(np.pi * waves * np.meshgrid(*axes, indexing="ij")[axis]) * np.ones((3, 1, 1, 1))
         expected = (1 + height**2 * k**2 / 80) * grid.node_volumes * u
-        error = np.abs(resistance(grid, u) - expected).max() / np.abs(expected).max()
+        error = np.abs(Resistance(grid).force(u) - expected).max() / np.abs(expected).max()
         assert error < 0.005
 
 
@@ -67,5 +63,5 @@ def test_a_part_is_held_as_in_the_whole():
     box = slice(2, 9), slice(3, 10)
     part = LayerGrid(grid.x[box[1]], grid.y[box[0]], grid.depth, grid.thickness[box])
     inside = (..., slice(1, -1), slice(1, -1))
-    whole = resistance(grid, u)[:, :, *box][inside]
-    assert_allclose(resistance(part, u[:, :, *box])[inside], whole, rtol=1e-12)
+    whole = Resistance(grid).force(u)[:, :, *box][inside]
+    assert_allclose(Resistance(part).force(u[:, :, *box])[inside], whole, rtol=1e-12)

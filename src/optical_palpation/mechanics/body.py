@@ -13,6 +13,7 @@ from optical_palpation.material import Law
 
 from .elements import GRADIENTS, element_stress, internal_force, tangent_planes
 from .grid import LayerGrid
+from .resistance import Resistance
 from .side_flow import SideFlow, side_flow
 
 Array = NDArray[np.float64]
@@ -69,6 +70,11 @@ class Body:
         if not (np.isfinite(factor) & (factor > 0)).all():
             raise ValueError("a stiffness factor is not positive")
         return factor
+
+    @cached_property
+    def resistance(self) -> Resistance:
+        """What resists its displacement against drag and in damped steps."""
+        return Resistance(self.grid)
 
     @property
     def bulk_modulus(self) -> Array:

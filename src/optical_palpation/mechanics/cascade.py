@@ -268,8 +268,7 @@ class _Nested:
                 # what a coarse grid cannot bear a finer one may
                 if state is None and level is self.problem:
                     if coarser:
-                        z, y, x = coarser[0].grid.spacing
-                        failure.elements = x, y, z
+                        failure.elements = coarser[0].grid.spacing[::-1]
                     raise
         assert state is not None  # there is at least one level
         return Solution(self.problem, state, self.record, coarser)
@@ -375,6 +374,8 @@ class _Nested:
         def report(iteration: int, now: Balance, krylov: int) -> None:
             if self.on_iteration:
                 self.on_iteration(level, state.load, iteration, now, krylov)
+            if not nearly:
+                return
             errors.append(now.resultant_error)
             if min(errors) < nearly and errors[-1] > _HARDLY * min(errors[:-2], default=np.inf):
                 raise NotConverged("nearly in equilibrium, and hardly nearer after two iterations")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -27,7 +28,6 @@ from .iteration import (
 from .krylov import MultigridSolver
 from .path import Drag
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
-from .resistance import own_resistance, resistance
 from .side_contact import SideContact, side_contact
 from .side_flow import SideFlow
 from .stencil import threads_for
@@ -71,7 +71,8 @@ class LinearSolver(Protocol):
 
 #: Pressure, in shear moduli, above which contact forces no longer tell how large errors may be.
 _PRESSURE = 4.0
-#: Steps by the tangent of another state, and the share of the imbalance that each may leave.
+#: Steps by the tangent of another state; and the share of the imbalance that each of them, or
+#: columns that are solved alone in vain, may leave.
 _CHORDS, _NEARER = 6, 0.5
 #: Share of the contact forces out of balance below which Newton's method is near its end, and the
 #: iterations of the linear solver that a step may then take.
@@ -150,7 +151,7 @@ class Balance:
     force_error: float
     volume_error: float
 
-    @property
+    @cached_property
     def columns(self) -> Array:
         """Square of what is out of balance in each column, (ny + 1, nx + 1), mN^2."""
         return (self.residual**2).sum((0, 1)) + (self.contact.violation**2).sum(0)
@@ -177,7 +178,7 @@ def balance(
     body = problem.body.forces(state.u, state.p)
     force, volume, volume_ref = body.force, body.volume, body.reference_volume
     if drag is not None:
-        force += drag.viscosity * resistance(problem.grid, state.u - drag.origin.u)
+        force += drag.viscosity * problem.body.resistance.force(state.u - drag.origin.u)
     if problem.border is not None:
         problem.border.add_resistance(state.u, force)
     w = slip_coordinate(problem, state)
@@ -204,7 +205,7 @@ def balance(
     whole[[0, -1]] = contact.carried
     whole[sides.nodes] += sides.bound.sum(0)
     if drag is not None:
-        dragged = drag.viscosity * own_resistance(problem.grid)
+        dragged = drag.viscosity * problem.body.resistance.own
     friction = contact.friction(problem, out, whole, dragged[[0, -1]])
     side_friction = sides.friction(out, whole, dragged[sides.nodes])
     eased = out.copy()
@@ -468,8 +469,8 @@ class LoadedLayer:
 
     def resistance(self, moved: Array) -> Array:
         """Forces, mN, of unit resistance (1 kPa / mm^2) to displacements, mm; both (3, n)."""
-        grid = self.problem.grid
-        return resistance(grid, moved.reshape(3, *grid.node_shape)).reshape(3, -1)
+        body = self.problem.body
+        return body.resistance.force(moved.reshape(3, *body.grid.node_shape)).reshape(3, -1)
 
     def displacement(self, state: LayerState) -> Array:
         """Displacement (x, y, z) of the nodes, (3, n), mm."""

@@ -14,7 +14,6 @@ from optical_palpation.parallel import in_parallel
 from .contact import ContactLinearisation, FaceFriction
 from .lanes import FAST
 from .problem import SAMPLE, WINDOW, LayerProblem
-from .resistance import add_resistance, own_resistance
 from .side_contact import SideTangent
 from .side_flow import SideFlow
 from .stencil import constrain
@@ -160,7 +159,7 @@ def assemble(
 ) -> NewtonSystem:
     """Assemble the tangent of the state that has the balance ``now``, for a linear solver.
 
-    ``resistance``, kPa / mm^2, is that of each volume to being displaced by the step, ``softness``,
+    ``resistance``, kPa / mm^2, is that of the body to being displaced by the step, ``softness``,
     1 / kPa, a compressibility beside that of the body; both are in the tangent alone. The tangent
     passes through memory plane by plane of nodes, from which the solver stores what it needs.
     """
@@ -190,12 +189,11 @@ def assemble(
     # that nothing holds sideways; it does not enter the residual.
     hold = 1e-6 * problem.shear_modulus * grid.spacing[0]
     sides = [] if problem.border is None else problem.border.side_stiffness(now.state.u)
-    own = own_resistance(grid) if resistance > 0 else None
     planes = problem.body.tangent_planes(now.state.u, now.state.p, gamma, divergence)
     for k, plane in enumerate(planes):
         diagonal = plane[:, 13, :, :nx1]
-        if own is not None:
-            add_resistance(plane, k, grid, resistance, own)
+        if resistance > 0:
+            problem.body.resistance.add_to(plane, k, resistance)
         if problem.border is not None:
             problem.border.add_stiffness(plane, k, sides)
         system.sides.add_stiffness(plane, k)

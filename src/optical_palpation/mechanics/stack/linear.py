@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from ..body import Body
 from ..krylov import gmres
 from ..multigrid import Hierarchy
-from ..resistance import add_resistance, own_resistance
 from ..schur import SchurComplement
 from ..side_contact import SideTangent
 from ..stencil import (
@@ -278,7 +277,6 @@ class _System:
     def _assemble(self) -> None:
         """Store the stencils: Cartesian ones for products, those of the two hierarchies."""
         solver, outer, much = self.solver, self.equations.outer, self.equations.resistance
-        own = [own_resistance(body.grid) for body in solver.bodies] if much > 0 else []
         slave, master = solver.slave, solver.master
         z, y, x = solver.glued.levels[0].node_shape
         glued = np.zeros((y, 27, 9, padded(x)), np.float32)
@@ -299,7 +297,7 @@ class _System:
                 diagonal = plane[:, 13, :, :nx1]
                 diagonal[:, [0, 4, 8]] += self.equations.hold
                 if much > 0:
-                    add_resistance(plane, k, solver.bodies[body].grid, much, own[body])
+                    solver.bodies[body].resistance.add_to(plane, k, much)
                 equations.sides.add_stiffness(plane, k)
                 if k == k_outer:
                     diagonal[:, [0, 1, 3, 4]] += _blocks(outer[body].friction)

@@ -153,8 +153,8 @@ def newton_step(
 ) -> tuple[Array, list[Array], list[Array], int]:
     """Changes of displacement, pressures and contact forces, and the Krylov iterations.
 
-    ``damping``, kPa / mm^2, is a resistance of each volume of a stiffness factor of 1 to being
-    displaced by the step, in the tangent alone, with the compressibility that goes with it.
+    ``damping``, kPa / mm^2, is a resistance of both bodies to being displaced by the step, in the
+    tangent alone, with the compressibility that goes with it.
     """
     state = now.state
     viscosity = 0.0 if now.drag is None else now.drag.viscosity

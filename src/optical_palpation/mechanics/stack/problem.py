@@ -13,7 +13,6 @@ from scipy.interpolate import RegularGridInterpolator
 from ..body import Body
 from ..friction import node_stiffness
 from ..grid import LayerGrid
-from ..resistance import resistance
 from ..side_contact import PlaneSides, SideContact
 from .contact import ContactState, SideState
 from .projection import Interface, Plane, Projection
@@ -61,7 +60,7 @@ class Stack:
     def resistance(self, moved: Array) -> Array:
         """Forces, mN, of unit resistance (1 kPa / mm^2) to displacements, mm: (n_nodes, 3)."""
         forces = [
-            resistance(body.grid, part)
+            body.resistance.force(part)
             for body, part in zip(self.bodies, self.split(moved), strict=True)
         ]
         return np.concatenate([force.reshape(3, -1).T for force in forces])
