@@ -355,6 +355,8 @@ def main() -> None:
     parser.add_argument("--dry", action="store_true", help="print; write neither record nor page")
     parser.add_argument("--child", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
+    # a case does not go on alone where this process is told to end
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     threads = arguments.threads
     if arguments.child:
         name, folder = arguments.child[0], Path(arguments.child[1])
