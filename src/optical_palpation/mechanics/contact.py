@@ -45,7 +45,7 @@ from optical_palpation.runtime.kernels import keep_kernels
 
 from .faces import SHAPE, SLOPE, push_slope
 from .friction import friction_direction, look_ahead, node_stiffness, remembered
-from .grid import contact_nodes, face_and_sides
+from .grid import LayerGrid, contact_nodes, face_and_sides
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
 from .side_contact import side_contact
 
@@ -118,8 +118,8 @@ class ContactLinearisation:
         coupled = self.coupled[:, None] * ahead.turned
         block = self.bound[:, None] / problem.slip_length * ahead.slope
         # not part of the equations; it tells the linear solver that a glued face sticks
-        sticks = STIFF * complementarity_scale(problem) * np.array([1.0, 0.0, 1.0])[:, None, None]
-        block[list(problem.glued)] = sticks
+        sticks = STIFF * surface_stiffness(problem.grid, problem.shear_modulus)
+        block[list(problem.glued)] = sticks * np.array([1.0, 0.0, 1.0])[:, None, None]
         return FaceFriction(
             row=self.row + np.array([1.0, -1.0])[:, None, None, None] * coupled,
             block=block,
@@ -138,7 +138,7 @@ class ContactLinearisation:
             The right-hand side of the vertical equations, (2, ny + 1, nx + 1), mN, and the step
             (x, y, d) of both faces that is prescribed or sought from, (2, 3, ny + 1, nx + 1), mm.
         """
-        c = complementarity_scale(problem)
+        c = surface_stiffness(problem.grid, problem.shear_modulus)
         other = c / (c + self.spring)  # 1 - S', and 1 where rigid
         # d is z: at the window penetration grows with -d
         sign = np.array([-1.0, 1.0])[:, None, None]
@@ -167,10 +167,20 @@ class FaceFriction:
     turned: Array
 
 
-def complementarity_scale(problem: LayerProblem) -> Array:
-    """Scale c of the complementarity equation, mN / mm, shape (ny + 1, nx + 1)."""
-    grid = problem.grid
-    return grid.areas * problem.shear_modulus / grid.spacing[0]
+def surface_stiffness(grid: LayerGrid, shear_modulus: float) -> Array:
+    """How stiff the elements at a face are against what presses it, mN / mm, (ny + 1, nx + 1).
+
+    It is the scale c of the law of contact.
+    """
+    return grid.areas * shear_modulus / grid.spacing[0]
+
+
+def left_to_body(own: Array, x: Array, y: Array, d: Array) -> Array:
+    """Share of an imbalance (x, y, d) at a face that contact leaves to a body, (3, ...).
+
+    ``own`` is the stiffness of the body there, the others those of friction and contact, mN / mm.
+    """
+    return own / (own + np.abs([x, y, d]))
 
 
 def glued_displacement(problem: LayerProblem, face: int, load: float) -> Array:
@@ -223,7 +233,7 @@ def linearise(
     normal = state.normal_force
     reaction = np.stack([force[2, 0], -force[2, -1]])
 
-    c = complementarity_scale(problem)
+    c = surface_stiffness(problem.grid, problem.shear_modulus)
     eps = SMOOTHING * c * problem.grid.spacing[0]
     t = normal + c * penetration
     s_value, other = smooth_maximum(t, eps)

@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from .contact import left_to_body, surface_stiffness
 from .grid import LayerGrid
 from .multigrid import Hierarchy
 from .schur import Lubrication, SchurComplement
@@ -49,8 +50,8 @@ class MultigridSolver:
         self.schur = SchurComplement(grid.shape, grid.spacing, shear_modulus, self.gamma)
         self.lubrication = Lubrication(depth, grid.y, grid.x, free_sides, shear_modulus)
         self.areas = grid.areas
-        #: Stiffness of the body at a node, above which that of a contact counts as closed, mN / mm.
-        self.springs = self.areas * shear_modulus / grid.spacing[0]
+        #: Of the body at both faces; a contact that is stiffer counts as closed.
+        self.own = surface_stiffness(grid, shear_modulus)
 
     @property
     def stencil(self) -> Stencil:
@@ -72,11 +73,10 @@ class MultigridSolver:
         self.schur.prepare(volume, system.bulk_modulus, system.flow is not None)
         contact = system.contact
         stiffness = _of_elements(system.friction.block[:, [2, 0]] / self.areas)
-        touching = _of_elements(np.where(contact.rigid, 1.0, contact.spring > self.springs))
+        touching = _of_elements(np.where(contact.rigid, 1.0, contact.spring > self.own))
         self.lubrication.prepare(stiffness, touching, system.bulk_modulus)
-        # Of an imbalance at the faces, stiff contact takes up all but a share.
-        taken = np.abs([*np.moveaxis(system.friction.block[:, [0, 2]], 0, 1), contact.spring])
-        self.share = (self.springs / (self.springs + taken)).astype(f32)
+        along_x, _, along_y = np.moveaxis(system.friction.block, 1, 0)
+        self.share = left_to_body(self.own, along_x, along_y, contact.spring).astype(f32)
         # The uniform pressure is the mode that cosine modes miss most (a layer with nowhere to go
         # answers to it with its bulk modulus alone): it is solved for by itself.
         shape = system.free.shape[1:]

@@ -26,6 +26,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ..body import Body
+from ..contact import left_to_body, surface_stiffness
 from ..krylov import gmres
 from ..multigrid import Hierarchy
 from ..schur import SchurComplement
@@ -264,9 +265,9 @@ class _System:
         moduli = [b.law.shear_modulus * float(np.median(b.factor)) for b in solver.bodies]
         # of two bodies the softer one gives way
         between = surface is self.equations.interface.surface
-        own = grid.areas * (min(moduli) if between else moduli[body]) / grid.spacing[0]
-        taken = np.abs([surface.friction[0, 0], surface.friction[1, 1], surface.spring])
-        return (own / (own + taken)).astype(np.float32)
+        own = surface_stiffness(grid, min(moduli) if between else moduli[body])
+        (along_x, _), (_, along_y) = surface.friction
+        return left_to_body(own, along_x, along_y, surface.spring).astype(np.float32)
 
     def _surfaces(self) -> list[tuple[int, int, Surface]]:
         """Body, plane of nodes and linearised contact of the outer faces and the slaves."""
