@@ -72,6 +72,11 @@ class Body:
         return factor
 
     @cached_property
+    def median_shear_modulus(self) -> float:
+        """Median of the shear moduli of the elements, kPa."""
+        return self.law.shear_modulus * float(np.median(self.factor))
+
+    @cached_property
     def resistance(self) -> Resistance:
         """What resists its displacement against drag and in damped steps."""
         return Resistance(self.grid)

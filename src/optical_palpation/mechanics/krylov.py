@@ -50,7 +50,7 @@ class MultigridSolver:
         self.schur = SchurComplement(grid.shape, grid.spacing, shear_modulus, self.gamma)
         self.lubrication = Lubrication(depth, grid.y, grid.x, free_sides, shear_modulus)
         self.areas = grid.areas
-        #: Of the body at both faces; a contact that is stiffer counts as closed.
+        #: Stiffness of the body at a face, mN / mm; a contact that is stiffer counts as closed.
         self.own = surface_stiffness(grid, shear_modulus)
 
     @property

@@ -300,7 +300,7 @@ class PlaneSides:
             np.zeros((2, 2, *z.shape)),
         )
         rubs = np.array([self.friction])
-        modulus = self.body.law.shear_modulus * float(np.median(self.body.factor))
+        modulus = self.body.median_shear_modulus
         elastic = float(node_stiffness(modulus, grid.spacing[0] ** 2, thickness))
         return _contact(grid, facets, touch, rubs, slip_length, elastic, slip)
 

@@ -262,7 +262,7 @@ class _System:
     def _share(self, body: int, surface: Surface) -> Vector:
         """Of an imbalance of a face, (3, ny + 1, nx + 1), the share that contact does not take."""
         solver, grid = self.solver, self.solver.bodies[body].grid
-        moduli = [b.law.shear_modulus * float(np.median(b.factor)) for b in solver.bodies]
+        moduli = [each.median_shear_modulus for each in solver.bodies]
         # of two bodies the softer one gives way
         between = surface is self.equations.interface.surface
         own = surface_stiffness(grid, min(moduli) if between else moduli[body])

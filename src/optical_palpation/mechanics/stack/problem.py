@@ -81,8 +81,8 @@ class Stack:
         """How the slaves of each contact resist being moved sideways, (n), mN / mm, about."""
 
         def alone(body: Body, area: Array) -> Array:
-            modulus = body.law.shear_modulus * float(np.median(body.factor))
-            return node_stiffness(modulus, area, float(np.median(body.grid.thickness)))
+            height = float(np.median(body.grid.thickness))
+            return node_stiffness(body.median_shear_modulus, area, height)
 
         (layer, sample), (at_window, between, at_plate) = self.bodies, self.areas
         # one gives way to the other
