@@ -211,7 +211,7 @@ def _blobs(x, y, rng):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a case ended: ``converged``, ``ConvergenceError``, or what must not happen."""
+    """How a case ended: ``converged``, ``on coarser`` elements, ``ConvergenceError``, or badly."""
 
     case: Case
     kind: str
@@ -221,7 +221,7 @@ class Outcome:
 
     @property
     def allowed(self) -> bool:
-        return self.kind in ("converged", "ConvergenceError")
+        return self.kind in ("converged", "on coarser", "ConvergenceError")
 
 
 class TimeLimit(Exception):
@@ -249,7 +249,8 @@ def attempt(case: Case, solver: str = "auto", limit: int = 120, progress=None) -
     try:
         result = case.solve(solver, count)
         text = "; ".join(faults(result))
-        kind = "wrong result" if text else "converged"
+        coarser = "asked_elements_failure" in result.maps.attrs
+        kind = "wrong result" if text else "on coarser" if coarser else "converged"
     except TimeLimit:
         kind, text = "time limit", f"{limit} s"
     except ConvergenceError as error:

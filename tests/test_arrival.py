@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robustness
+from optical_palpation.analysis import stress_uncertainty
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics import path
@@ -26,11 +27,13 @@ SILICONE = MooneyRivlin(2.23, 0.703)
 MU = SILICONE.shear_modulus
 
 
-def tilted(friction, element_size=0.25):
-    x = np.linspace(0, 2, 41)
-    values = 0.5 - 0.15 * np.tile(x / 2, (41, 1))
+AXIS = np.linspace(0, 2, 41)
+TILTED = 0.5 - 0.15 * AXIS / 2
+
+
+def tilted(friction, element_size=0.25, **options):
     return computational_stress(
-        thickness_map(values, x=x, y=x, where="tilted plate"),
+        thickness_map(np.tile(TILTED, (41, 1)), x=AXIS, y=AXIS, where="tilted plate"),
         0.5,
         SILICONE,
         window_friction=friction,
@@ -38,6 +41,7 @@ def tilted(friction, element_size=0.25):
         element_size=element_size,
         edge_check=False,
         input_errors=None,
+        **options,
     )
 
 
@@ -56,25 +60,53 @@ def test_a_full_load_without_equilibrium_is_not_called_a_part_of_it(monkeypatch)
         tilted(0.2)
 
 
-def test_elements_on_which_the_full_load_was_reached_are_named(monkeypatch):
-    """And the layer arrives on these."""
+@pytest.fixture
+def finest_stops(monkeypatch):
+    """Let no layer reach its load on the finest of several grids."""
     loaded = _Nested._loaded
 
     def stops(nested, level, carried):
-        if level is nested.problem:
+        if carried is not None and level is nested.problem:
             raise path.LoadNotReached(0.7, "the finest stops")
         return loaded(nested, level, carried)
 
-    with monkeypatch.context() as patched:
-        patched.setattr(_Nested, "_loaded", stops)
-        for way in ("_carried_over", "_settled"):
-            patched.setattr(_Nested, way, lambda *given: None)
-        with pytest.raises(ConvergenceError, match=r"stops.* full load on some of") as failure:
-            tilted(0.3, 0.08)
-    said = re.search(r"on some of (\S+) x (\S+) x (\S+) mm", str(failure.value))
-    sizes = tuple(map(float, said.groups()))
+    settled = _Nested._settled
+
+    def restless(nested, level, *given):
+        return None if level is nested.problem else settled(nested, level, *given)
+
+    monkeypatch.setattr(_Nested, "_loaded", stops)
+    monkeypatch.setattr(_Nested, "_carried_over", lambda *given: None)
+    monkeypatch.setattr(_Nested, "_settled", restless)
+
+
+def test_a_layer_that_arrives_on_coarser_elements_only_is_solved_there_and_says_so(finest_stops):
+    result = tilted(0.3, 0.08)
+    attrs = result.maps.attrs
+    assert attrs["status"] == "converged on coarser elements"
+    assert attrs["force_residual"] < attrs["force_tolerance"]
+    assert attrs["asked_element_size_mm"] == pytest.approx([0.08, 0.08, 0.08], rel=0.1)
+    sizes = attrs["element_size_mm"]
     assert sizes[0] == pytest.approx(0.16, rel=0.1)
-    assert tilted(0.3, sizes).maps.attrs["status"] == "converged"
+    assert np.prod(attrs["elements"]) == result.problem.grid.n_elements
+    # the imprint of the asked elements, smoothed again
+    assert attrs["imprint_smoothing_mm"] == pytest.approx(np.hypot(0.04, 0.08), rel=0.1)
+    said = "solution on elements of .* not of .* the layer was loaded to 70.0 % only: the finest"
+    assert re.search(f"WARNING: this is the {said}", summarise(result))
+    assert any(re.search(said, text) for text in warnings_about(result))
+    asked = tilted(0.3, sizes).maps.attrs
+    assert asked["status"] == "converged"
+    assert "asked_elements_failure" not in asked
+    assert attrs["sample_force_mN"] == pytest.approx(asked["sample_force_mN"], rel=0.02)
+
+
+def test_coarser_elements_are_neither_the_wanted_accuracy_nor_an_error_of_inputs(finest_stops):
+    with pytest.raises(ConvergenceError, match=r"accuracy of 1.00% takes .*the finest stops"):
+        tilted(0.3, None, accuracy=0.01)
+    loaded = thickness_map(np.tile(TILTED, (41, 1)), x=AXIS, y=AXIS, where="tilted plate")
+    friction = {"window_friction": 0.3, "sample_friction": 0.3}
+    with pytest.raises(ConvergenceError, match="the finest stops"):
+        stress_uncertainty(loaded, 0.5, SILICONE, **friction, element_size=0.08)
 
 
 @pytest.mark.parametrize(

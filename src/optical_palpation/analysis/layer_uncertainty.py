@@ -15,7 +15,7 @@ from optical_palpation.analysis.uncertainty import (
     propagate_uncertainty,
 )
 from optical_palpation.arguments import check_instance, explained, number
-from optical_palpation.errors import InputError
+from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law
 from optical_palpation.palpation.computational import Hold, computational_stress
 from optical_palpation.palpation.input_errors import InputErrors
@@ -172,7 +172,7 @@ class _Solve:
     ) -> StressResult:
         # Sums of maps lose what the map says of itself, such as the extent of the layer.
         here = (thickness + thickness_noise).assign_attrs(self.loaded.attrs)
-        return computational_stress(
+        result = computational_stress(
             here,
             self.initial_thickness,
             self.material.scaled(modulus),
@@ -184,3 +184,7 @@ class _Solve:
             progress=progress,
             **self.options,
         )
+        attrs = result.maps.attrs
+        if "asked_elements_failure" in attrs:  # differences between meshes are no errors of inputs
+            raise ConvergenceError(attrs["asked_elements_failure"])
+        return result

@@ -83,6 +83,14 @@ class Solution:
         return sum(entry[2] for entry in self.record)
 
 
+class OnlyOnCoarser(LoadNotReached):
+    """The full load was reached on coarser elements only; carries the ``solution`` there."""
+
+    def __init__(self, failure: LoadNotReached, solution: Solution) -> None:
+        super().__init__(failure.load, failure.reason)
+        self.solution = solution
+
+
 def grids(problem: LayerProblem) -> list[LayerProblem]:
     """Return the problem on all grids of the cascade, the finest first."""
     few = np.clip(_PATH_SHARE * problem.grid.n_elements, *_PATH_ELEMENTS)
@@ -211,7 +219,8 @@ def solve(
     Raises
     ------
     LoadNotReached
-        When the full load is not reached on some grid.
+        When the full load is not reached on the grid of the problem; as its subclass OnlyOnCoarser
+        where it is on a coarser one.
     """
     nested = _Nested(
         problem,
@@ -250,15 +259,12 @@ class _Nested:
 
     def solved(self, levels: list[LayerProblem]) -> Solution:
         """Solve on all grids, the last of them first."""
-        state: LayerState | None = None
-        coarser: tuple[LayerProblem, LayerState] | None = None
+        found: list[tuple[int, LayerState]] = []  # by grid
         for n in reversed(range(len(levels))):
             level = levels[n]
-            if state is None:
-                coarser, carried = None, None
-            else:
-                coarser = levels[n + 1], state
-                carried = prolong(state, levels[n + 1], level)
+            carried = state = None
+            if found and found[-1][0] == n + 1:
+                carried = prolong(found[-1][1], levels[n + 1], level)
                 state = self._carried_over(level, carried)
             try:
                 state = state or self._loaded(level, carried)
@@ -267,11 +273,36 @@ class _Nested:
                     state = self._settled(level, carried)
                 # what a coarse grid cannot bear a finer one may
                 if state is None and level is self.problem:
-                    if coarser:
-                        failure.elements = coarser[0].grid.spacing[::-1]
-                    raise
-        assert state is not None  # there is at least one level
-        return Solution(self.problem, state, self.record, coarser)
+                    instead = self._instead(levels, found)
+                    if instead is None:
+                        raise
+                    raise OnlyOnCoarser(failure, instead) from None
+            if state is not None:
+                found.append((n, state))
+        return self._solution(levels, found)
+
+    def _solution(
+        self, levels: list[LayerProblem], found: list[tuple[int, LayerState]]
+    ) -> Solution:
+        """The last of what was found, and what was found on the next coarser grid."""
+        number, state = found[-1]
+        coarser = None
+        if len(found) > 1 and found[-2][0] == number + 1:
+            coarser = levels[number + 1], found[-2][1]
+        return Solution(levels[number], state, self.record, coarser)
+
+    def _instead(
+        self, levels: list[LayerProblem], found: list[tuple[int, LayerState]]
+    ) -> Solution | None:
+        """The finest of what was found on coarser grids that is one of equilibrium, if any is."""
+        for last in range(len(found) - 1, -1, -1):
+            number, nearly = found[last]
+            level = levels[number]
+            nearest, reached = self._balanced(level, nearly, self.tolerances)
+            state = nearest if reached else self._settled(level, nearly, self.tolerances)
+            if state is not None and balance(level, state).force_error < NEARLY[1]:
+                return self._solution(levels, [*found[:last], (number, state)])
+        return None
 
     def _carried_over(self, level: LayerProblem, carried: LayerState) -> LayerState | None:
         """Bring a loaded layer into equilibrium where it was carried to; None where it is too far.
@@ -393,16 +424,18 @@ class _Nested:
         self.record.append((level.grid.n_elements, state.load, count))
         return now.state, True
 
-    def _settled(self, level: LayerProblem, state: LayerState) -> LayerState | None:
-        """Let a loaded layer come to rest; None where it does not."""
+    def _settled(
+        self, level: LayerProblem, state: LayerState, wanted: Tolerances | None = None
+    ) -> LayerState | None:
+        """Let a loaded layer come to rest, as near to equilibrium as ``wanted``; None where not."""
         path = Path(
             LoadedLayer(level, self._solvers(level)),
-            self._wanted(level),
+            wanted or self._wanted(level),
             self._coarser,
             state,
             self.control,
             partial(self.on_iteration, level) if self.on_iteration else None,
-            resting=self._rest(level),
+            resting=wanted or self._rest(level),
         )
         try:
             path.settle()

@@ -40,6 +40,8 @@ class Imprint:
     motion
         Lateral displacement (2, y, x) at full load of the point that is then there, mm; ``None``
         for a surface that is fixed laterally.
+    smoothing
+        Standard deviation of the Gaussian by which the maps were smoothed, mm.
     """
 
     x: Array
@@ -47,6 +49,7 @@ class Imprint:
     unloaded: Array
     loaded: Array
     motion: Array | None = None
+    smoothing: float = 0.0
 
     @cached_property
     def _coefficients(self) -> tuple[Array, Array]:
@@ -74,7 +77,14 @@ class Imprint:
             return gaussian_average(field, widths, "nearest")
 
         motion = None if self.motion is None else smooth(self.motion)
-        return Imprint(self.x, self.y, smooth(self.unloaded), smooth(self.loaded), motion)
+        return Imprint(
+            self.x,
+            self.y,
+            smooth(self.unloaded),
+            smooth(self.loaded),
+            motion,
+            float(np.hypot(self.smoothing, sigma)),
+        )
 
     def velocity(self, x: Array, y: Array, load: float) -> Array:
         """Lateral motion, mm per unit of load, of the points that ``load`` finds at x, y."""

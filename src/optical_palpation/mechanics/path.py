@@ -200,13 +200,7 @@ class Guide(Generic[AnyState]):
 
 
 class LoadNotReached(Exception):
-    """The load path ended early; carries the load reached and the last reason.
-
-    ``elements`` are the sizes (x, y, z), mm, of larger elements on which the full load was reached,
-    if there are any.
-    """
-
-    elements: tuple[float, float, float] | None = None
+    """The load path ended early; carries the load reached and the last reason."""
 
     def __init__(self, load: float, reason: str) -> None:
         self.load = load

@@ -66,6 +66,11 @@ def solve_to_accuracy(
                 f"{failure}"
             ) from None
         attrs = result.maps.attrs
+        if "asked_elements_failure" in attrs:
+            raise ConvergenceError(
+                f"an accuracy of {accuracy:.2%} takes elements of about {size:.2g} mm{said}, with "
+                f"which {attrs['asked_elements_failure']}"
+            )
         force = abs(attrs["sample_force_mN"])
         error = attrs.get("force_mesh_error_mN", np.inf) / max(force, 1e-30)
         if error <= accuracy:

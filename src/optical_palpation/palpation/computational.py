@@ -16,7 +16,12 @@ import xarray as xr
 from optical_palpation.arguments import check_instance, choice, explained, flag
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law
-from optical_palpation.mechanics.cascade import LoadNotReached, Solution, solve
+from optical_palpation.mechanics.cascade import (
+    LoadNotReached,
+    OnlyOnCoarser,
+    Solution,
+    solve,
+)
 from optical_palpation.mechanics.iteration import TOLERANCES, Iterate, met
 from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
@@ -134,7 +139,9 @@ def computational_stress(
     Returns
     -------
     StressResult
-        Maps in the frame of the imaging system, and the deformed layer.
+        Maps in the frame of the imaging system, and the deformed layer. Where the full load is
+        reached on coarser elements only, that is the solution there: its ``status`` says so, the
+        attributes ``asked_elements_failure`` and ``asked_element_size_mm`` why and what was asked.
 
     Raises
     ------
@@ -145,7 +152,7 @@ def computational_stress(
     MaterialError
         If the layer is compressed beyond the stable range of the material.
     ConvergenceError
-        If the full load is not reached.
+        If the full load is not reached, on coarser elements neither.
     """
     if input_errors is not None:
         check_instance(input_errors, InputErrors, "input_errors", "palpation.InputErrors or None")
@@ -220,6 +227,7 @@ def computational_stress(
     )
     report = Iterations(progress)
     report.stage("preparing", 0.0)
+    asked, failed = problem, ""
     try:
         with limited_threads(threads):
             solution = solve(
@@ -229,14 +237,13 @@ def computational_stress(
                 neighbours=neighbours,
                 on_iteration=report,
             )
+    except OnlyOnCoarser as failure:
+        solution, problem = failure.solution, failure.solution.problem
+        failed = f"the layer was loaded {failure.how_far()}: {failure.reason}"
     except LoadNotReached as failure:
-        larger = "larger elements"
-        if failure.elements:
-            x, y, z = failure.elements
-            larger += f" (it came to the full load on some of {x:.2g} x {y:.2g} x {z:.2g} mm)"
         raise ConvergenceError(
             f"the layer was loaded {failure.how_far()}: {failure.reason}. Try a stronger "
-            f"imprint_smoothing, {larger}, less friction or other edges; and check that the "
+            "imprint_smoothing, larger elements, less friction or other edges; and check that the "
             "thickness map is one a layer of this material can take"
         ) from None
 
@@ -271,12 +278,19 @@ def computational_stress(
         "element_size_mm": list(problem.grid.spacing[::-1]),
         "elements": list(problem.grid.shape[::-1]),
         "edges": edges,
-        "imprint_smoothing_mm": smoothing,
+        "imprint_smoothing_mm": problem.imprint.smoothing,
         "slip_length_mm": problem.slip_length,
         "no_contact_share": algebraic.attrs["no_contact_share"],
         **outcome(solution, now),
         **force_on_map(maps, surface),
     }
+    if failed:
+        maps.attrs |= {
+            "asked_element_size_mm": list(asked.grid.spacing[::-1]),
+            "asked_elements_failure": failed,
+        }
+        if maps.attrs["status"] == Status.CONVERGED:
+            maps.attrs["status"] = str(Status.COARSER)
     if of_mesh is not None:
         _add_mesh_error(maps, of_mesh)
     if edge_check:

@@ -83,13 +83,13 @@ def imprint_of(
         inside = inside_layer(loaded)
         here = {"y": inside.any(axis=1), "x": inside.any(axis=0)}
         fields = [field.isel(here) for field in fields]
-    loaded, initial, *others = fields
+    loaded, initial = fields[:2]
     x, y = _uniform(loaded["x"].values), _uniform(loaded["y"].values)
-    values = []
-    for field in (initial, loaded, *others):
+    maps = []
+    for field in fields:
         same = np.array_equal(x, field["x"]) and np.array_equal(y, field["y"])
-        values.append(field.values if same else field.interp(x=x, y=y).values)
-    imprint = Imprint(x, y, *values)
+        maps.append(field.values if same else field.interp(x=x, y=y).values)
+    imprint = Imprint(x, y, maps[1], maps[0], maps[2] if motion is not None else None)
     return imprint.smoothed(smoothing) if smoothing > 0 else imprint
 
 

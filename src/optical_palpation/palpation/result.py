@@ -42,6 +42,7 @@ class Status(StrEnum):
 
     CONVERGED = "converged"
     NEARLY = "nearly converged"
+    COARSER = "converged on coarser elements"
     INCOMPLETE = "incomplete"
 
 

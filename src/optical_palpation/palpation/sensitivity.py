@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, coarsened, solve
 from optical_palpation.mechanics.grid import LayerGrid
-from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.neighbours import Neighbours
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.side_contact import outermost_height, side_contact
@@ -54,10 +53,9 @@ def changed(problem: LayerProblem, name: str) -> tuple[LayerProblem, float]:
         # thinner, so that both thicknesses press the layer more: the layer gains contact, and an
         # error of the one does as much as that of the other where the layer is hardly pressed
         loaded = imprint.loaded - step
-        moved = Imprint(imprint.x, imprint.y, imprint.unloaded, loaded, imprint.motion)
-        return replace(problem, imprint=moved), -step
+        return replace(problem, imprint=replace(imprint, loaded=loaded)), -step
     unloaded = imprint.unloaded + step
-    moved = Imprint(imprint.x, imprint.y, unloaded, imprint.loaded, imprint.motion)
+    moved = replace(imprint, unloaded=unloaded)
     thicker = LayerGrid(grid.x, grid.y, grid.depth, grid.thickness + step)
     return replace(problem, imprint=moved, grid=thicker), step
 

@@ -296,6 +296,15 @@ def of_solution(attrs: Mapping[Hashable, Any]) -> list[str]:
             f"the volume of the layer changed by {change:.1f} %, which causes stress: between "
             "roller edges a layer that is thinner all over is laterally confined"
         )
+    if "asked_elements_failure" in attrs:
+        sizes, asked = (
+            " x ".join(f"{size:.2g}" for size in attrs[key])
+            for key in ("element_size_mm", "asked_element_size_mm")
+        )
+        said.append(
+            f"this is the solution on elements of {sizes} mm, not of {asked} mm: on those "
+            f"{attrs['asked_elements_failure']}"
+        )
     if attrs.get("status") == Status.NEARLY:
         said.append(
             "nearly converged: friction at some edges goes on changing, and "
