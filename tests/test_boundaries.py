@@ -239,6 +239,24 @@ def test_ascans_without_data_are_filled():
     assert error[~layer.filled.values].max() < 3.0
 
 
+@pytest.mark.parametrize("rows", [(20, 80), (60, 110), (100, 170), (180, 300)])
+@pytest.mark.parametrize("columns", [slice(16, 44), slice(0, 24)])
+def test_the_end_of_a_gap_is_no_boundary(rows, columns):
+    """What is missing of a part of the depth is filled where the boundary may lie in it."""
+    of = volume()
+    stack = np.stack(list(of), axis=1)
+    stack[slice(*rows), 12:40, columns] = np.nan
+    layer = find_layer(stack, spacing=SPACING, scale="linear")
+    error = np.abs(layer.thickness.values - SMOOTH) / SPACING[0]
+    assert error[~layer.filled.values].max() < 3.0
+    hidden = np.zeros(error.shape, bool)
+    hidden[12:40, columns] = True
+    bottom = (of.window_map + SMOOTH) / SPACING[0]
+    within = hidden & (bottom > rows[0] + 5) & (bottom < rows[1] - 5)
+    assert layer.sample_filled.values[within].all()
+    assert not layer.filled.values[46:, 50:].any()
+
+
 def test_no_sample_side_is_found_within_the_resolution_of_the_window():
     thin = np.full(SHAPE, 0.025)
     with pytest.raises(InputError, match="sample side of the layer is nowhere"):

@@ -21,7 +21,7 @@ from .corrections import Corrections, read_corrections
 from .intensity import BScans, Intensity, Scale, intensity_reader, point_spread
 from .refinement import refine, take_band
 from .rivals import rival_line, rival_rise
-from .tracking import Edge, Reduced, reduce_volume, track
+from .tracking import BLOCK, Edge, Reduced, gaps_between, reduce_volume, track
 
 Method = Literal["surface", "canny"]
 Range = tuple[float, float]
@@ -31,6 +31,9 @@ Estimate = tuple[Edge, NDArray, NDArray]
 
 GUARD = 6.0  # axial resolutions (standard deviations) within which two boundaries are one
 BAND = 24.0  # ... around a tracked surface that are read again for its refinement
+NEAR = 6.0  # ... around it of which no more than a share may be missing:
+MOST_MISSING = 0.5
+GAP = 10.0  # axial resolutions that may be missing of the clear layer above a rise
 CELLS = (2.0, 4.0)  # lateral averaging over this many resolution cells, in two and in one dimension
 WORST_CONTRAST = 0.25  # a boundary of less contrast is not seen
 HAMPEL = 3.0  # an outlier is this many (robust) standard deviations off the median around it
@@ -534,7 +537,7 @@ def _finish(
         lateral = scan.lateral
         # a line is a reflection everywhere
         glare = _glare(bands[name], lateral) if edge == "rise" else np.ones((ny, nx))
-        blank = np.all(bands[name] < 0, axis=2)  # though its neighbours may tell something
+        blank = _unseen(scan, bands[name], starts[name], edge, shallowest)
         depth, quality = refine(
             bands.pop(name),
             starts[name],
@@ -561,6 +564,35 @@ def _finish(
         parts[name] = depth, np.clip(quality / glare, 0.0, 1.0), lost, glare > 1.0
         progress(0.5 + 0.5 * len(parts) / len(found))
     return parts
+
+
+def _unseen(
+    scan: _Scan,
+    band: NDArray[np.float32],
+    first: NDArray[np.int64],
+    edge: Edge,
+    shallowest: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Where too many samples are missing to see a boundary, though its neighbours may tell it.
+
+    These are the samples around it, in the middle of a ``band`` that begins in the rows ``first``,
+    and of a rise those between it and the ``shallowest`` depth: the boundary may lie in a gap there
+    as well, or above it. A gap counts as far as its block and the average of profiles reach; single
+    A-scans that are blank do no harm to others.
+    """
+    ny, nx, rows = band.shape
+    reach, depth = rows // 2, scan.shape[0]
+    near = min(reach, round(NEAR * scan.sigma) + 2)
+    around = slice(reach - near, reach + near + 1)
+    z = first[..., None] + np.arange(rows)[around]
+    gaps = (band[..., around] < 0) & (z >= 0) & (z < depth)
+    unseen = gaps.mean(axis=2) > MOST_MISSING
+    if edge == "rise":
+        unseen |= gaps_between(scan.reduced, shallowest, first + reach) > GAP * max(scan.sigma, 1.0)
+    blank = np.all(band < 0, axis=2)
+    beside = [BLOCK // 2 + int(np.ceil(s)) for s in scan.lateral]
+    size = [2 * b + 1 if n > 1 else 1 for b, n in zip(beside, (ny, nx), strict=True)]
+    return blank | maximum_filter(unseen & ~blank, size)
 
 
 def _glare(band: NDArray[np.float32], lateral: tuple[float, float]) -> NDArray[np.float64]:

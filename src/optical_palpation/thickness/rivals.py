@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from .tracking import Reduced, line_evidence, mean_over, without_lines
+from .tracking import Reduced, bridged, line_evidence, mean_over, without_lines
 
 APART = 12.0  # axial resolutions (standard deviations) from a boundary on which a rival is another
 NEARLY = 0.8  # of the decibels by which the window's line stands out of its surroundings
@@ -48,7 +48,7 @@ def rival_rise(
     Haze that fills the layer is none. Parameters are those of :func:`rival_line`.
     """
     top, bottom = (depth[reduced.nodes] for depth in (window, sample))
-    log = np.where(np.isnan(reduced.log), np.nanmin(reduced.log), reduced.log)
+    log = bridged(reduced.log)
     opened = without_lines(log, sigma)
     offsets = np.arange(-int(np.ceil(np.max(bottom - top))), 1)
     z = np.round(bottom)[..., None].astype(np.int64) + offsets

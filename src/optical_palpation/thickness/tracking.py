@@ -131,17 +131,55 @@ def mean_over(a: NDArray, first: int, last: int) -> NDArray:
     return uniform_filter1d(a, size, axis=-1, mode="nearest")[..., shifted]
 
 
+def bridged(log: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Take the nearest sample along depth where there is no data, or its end would be an edge.
+
+    A boundary within a gap lies in its middle; where a whole column is missing there is none.
+    """
+    missing = np.isnan(log)
+    if not missing.any():
+        return log
+    z = np.arange(log.shape[-1], dtype=np.int32)
+    last = log.shape[-1]
+    above = np.maximum.accumulate(np.where(missing, -last, z), axis=-1)
+    below = np.minimum.accumulate(np.where(missing, 2 * last, z)[..., ::-1], axis=-1)[..., ::-1]
+    nearest = np.clip(np.where(z - above <= below - z, above, below), 0, last - 1)
+    filled = np.take_along_axis(log, nearest, axis=-1)
+    return np.where(np.isnan(filled), np.nanmin(log), filled)
+
+
 def without_lines(log: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     """A grey opening along depth: what is bright over less than ten resolutions is taken away."""
     line = round(10.0 * max(sigma, 1.0))
     return maximum_filter1d(minimum_filter1d(log, line, axis=-1), line, axis=-1)
 
 
+def gaps_between(
+    reduced: Reduced, top: NDArray[np.float64], bottom: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Samples that are missing in each column between two depths `[y, x]`, pixels.
+
+    What is missing from the top of a column on is where the volume begins, and no gap.
+    """
+    missing = np.isnan(reduced.log)
+    if not missing.any():
+        return np.zeros(top.shape, np.int64)
+    gaps = missing & np.logical_or.accumulate(~missing, axis=-1)
+    above = np.cumsum(gaps, axis=-1, dtype=np.int32)
+    blocks = [
+        np.minimum(np.arange(n) // BLOCK, m - 1)
+        for n, m in zip(top.shape, above.shape[:2], strict=True)
+    ]
+    y, x = np.ix_(*blocks)
+    first, last = (np.clip(np.round(z), 0, above.shape[-1] - 1).astype(int) for z in (top, bottom))
+    return (above[y, x, last] - above[y, x, first]).astype(np.int64)
+
+
 def _rise(log: NDArray[np.float32], sigma: float, inside: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Evidence for a step from dark to bright that lasts."""
     above, below = (round(n * max(sigma, 1.0)) for n in (6.0, 16.0))
     no_data = np.isnan(log)
-    filled = np.where(no_data, np.nanmin(log), log)
+    filled = bridged(log)
     opened = without_lines(filled, sigma)
     step = mean_over(opened, 1, below) - mean_over(opened, -above, -1)
     # A lone reflection (a metal sample, say) still beats nothing at all.
@@ -161,7 +199,7 @@ def line_evidence(
 ) -> NDArray[np.float32]:
     """Evidence for a bright line between darker flanks."""
     near, far, half = (max(round(n * sigma), k) for n, k in ((4.0, 3), (9.0, 5), (1.0, 1)))
-    filled = np.where(np.isnan(log), np.nanmin(log), log)
+    filled = bridged(log)
     centre = mean_over(filled, -half, half)
     flank = np.maximum(mean_over(filled, -far, -near), mean_over(filled, near, far))
     line = np.maximum(centre - flank, 0.0)
