@@ -296,6 +296,35 @@ for pair in ("nx ny", "n_cols n_rows", "x_lateral y_lateral"):
     for fmt, write in LABELLED.items():
         if fmt != "nc3":
             add(f"{fmt} ({pair})", stored(write, named("L1", SQUARE.T, dims)), Read(SQUARE))
+SCANS = (
+    "A-line frame|aline frame|A-lines B-scans|nAlines nFrames|n_a_lines n_b_scans|ALine BLine|"
+    "A-scan_number B-scan_number|ascan lines|line frame|line B-scan"
+)
+for pair in SCANS.split("|"):
+    for fmt, write in NETCDF.items():
+        one, other = pair.split()
+        add(f"{fmt} ({pair})", stored(write, named("L1", MAP.T, (one, other))), Read(MAP))
+        add(f"{fmt} ({other} {one})", stored(write, named("L1", MAP, (other, one))), Read(MAP))
+for pair in ("line other", "other lines", "scan_line other", "line line2"):
+    parts = named("L1", MAP, tuple(pair.split()))
+    add(
+        f"nc3 ({pair})",
+        stored(netcdf3, parts),
+        Refused(r"line\w*' may be x or y.*name them y and x"),
+    )
+add(
+    "nc3 lines with a coordinate beside them",
+    stored(
+        netcdf3,
+        {
+            "L1": (("line", "other"), SQUARE, {}),
+            "x": (("other",), X[:4], {"units": "mm"}),
+            "y": (("line",), Y, {"units": "mm"}),
+        },
+    ),
+    Read(SQUARE, X[:4], Y),
+    variable="L1",
+)
 for pair in ("nz nx", "depth x", "axial lateral"):
     parts = named("L1", MAP, tuple(pair.split()))
     add(f"nc3 ({pair})", stored(netcdf3, parts), Refused(r"dimensions \(.*\), not \(y, x\)"))

@@ -331,6 +331,7 @@ IN_MEMORY = xr.DataArray(
         (IN_MEMORY.assign_coords(x=np.arange(6), y=np.arange(3)), {}, "no coordinates in mm"),
         (np.ones((3, 6)), {"field_of_view": "55"}, "2 finite numbers"),
         (IN_MEMORY.assign_coords(x=[0, 0.1, 0.2, 50, 50.1, 50.2]), {}, "jump from 0.2 to 50 mm"),
+        (IN_MEMORY.rename(x="line", y="other"), {"field_of_view": (1, 1)}, r"not \(y, x\)"),
     ],
 )
 def test_what_is_no_map_in_memory_is_refused(values, given, says):
@@ -343,6 +344,8 @@ def test_dimensions_in_memory_are_named_as_in_files():
         IN_MEMORY.drop_vars(["x", "y"]).T.rename(x="nx", y="ny"), field_of_view=(5, 1)
     )
     assert turned.shape == (3, 6)
+    turned = thickness_map(IN_MEMORY.T.rename(x="A-line", y="frame"))
+    xr.testing.assert_equal(turned, thickness_map(IN_MEMORY))
 
 
 @pytest.mark.parametrize("mark", [-32768.0, -9999.0, 1e20, -999.25])

@@ -12,7 +12,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from optical_palpation.arguments import explained
 from optical_palpation.errors import InputError
-from optical_palpation.volume.axes import axes_of_dimensions
+from optical_palpation.volume.axes import axes_of_dimensions, unclear_dimension
 from optical_palpation.volume.labels import PIXEL, counts_pixels, unit_of_positions
 from optical_palpation.volume.units import MM, stated_unit
 
@@ -291,7 +291,7 @@ def _unlabelled(values: Any, where: str) -> tuple[NDArray[Any], dict[str, NDArra
     check_kind(values.shape, values.dtype, where)
     dims = [str(dim) for dim in values.dims]
     order = axes_of_dimensions(dims)
-    if any(order):
+    if any(order) or unclear_dimension(dims):
         if set(order) != {"x", "y"}:
             raise InputError(f"{where}: has the dimensions {values.dims}, not (y, x)")
         values = values.transpose(*(dims[order.index(axis)] for axis in "yx"))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .axes import SYNONYMS, axes_of_dimensions
+from .axes import SYNONYMS, axes_of_dimensions, unclear_dimension
 from .contents import Contents, Variable
 from .units import MM, is_unit_key, split_unit, stated_unit
 
@@ -298,6 +298,13 @@ def _order(
     if len(set(filter(None, names))) != len(list(filter(None, names))):
         raise InputError(f"{where}: its dimensions ({', '.join(variable.dims)}) are the same twice")
     rest = [axis for axis in axes if axis not in names]
+    unclear = unclear_dimension(variable.dims)
+    if len(rest) > 1 and unclear is not None:
+        raise InputError(
+            f"{where}: of its dimensions ({', '.join(variable.dims)}), {unclear!r} may be "
+            f"{' or '.join(sorted(rest))}, and nothing says what the others are; name them "
+            f"{' and '.join(axes)}"
+        )
     return [name or rest.pop(0) for name in names]
 
 
