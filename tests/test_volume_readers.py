@@ -6,6 +6,7 @@ import builtins
 import hashlib
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -286,6 +287,29 @@ def test_written_netcdf_is_read_back(tmp_path: Path) -> None:
         assert copy.metadata.spacing == pytest.approx(spacing)
         assert copy.metadata.scale == "dB"
         np.testing.assert_array_equal(copy.bscan(0), first)
+
+
+@pytest.mark.parametrize("ending", ["nc", "zarr"])
+def test_depth_is_not_divided_twice(ending: str, tmp_path: Path) -> None:
+    def copy(source: Path, target: str, **facts: Any) -> Path:
+        with open_volume(source, **facts) as volume:
+            lazy = volume.to_xarray()
+            path = tmp_path / f"{target}.{ending}"
+            lazy.to_netcdf(path) if ending == "nc" else lazy.to_zarr(path, consolidated=False)
+            return path
+
+    source = samples.thorlabs(tmp_path / "a.oct", samples.volume())
+    first = copy(source, "first", refractive_index=1.4)
+    for path in (first, copy(first, "of_copy"), copy(first, "undivided", refractive_index=1.0)):
+        with pytest.raises(InputError, match=r"divided by the refractive index 1\.4 before"):
+            open_volume(path, refractive_index=1.4)
+        with open_volume(path, refractive_index=1.0) as volume:
+            assert volume.metadata.spacing.z == pytest.approx(0.0035 / 1.4)
+        with open_volume(path, refractive_index=1.25, spacing={"z": 0.005}) as volume:
+            assert volume.metadata.spacing.z == 0.004  # the depth in the file does not count
+    optical = copy(source, "optical", refractive_index=1.0)
+    with open_volume(optical, refractive_index=1.4) as volume:
+        assert volume.metadata.spacing.z == pytest.approx(0.0035 / 1.4)
 
 
 def test_hash_is_that_of_the_file(tmp_path: Path) -> None:

@@ -91,7 +91,8 @@ class Stated:
 
     ``described`` marks what its author wrote into it: a format whose images are taken for B-scans
     does not know that they are. ``optical_depth`` marks formats whose depth is an optical path, so
-    that the refractive index must be known.
+    that the refractive index must be known. ``index_applied`` is the index by which the depth was
+    divided before it was written, as :meth:`Volume.to_xarray` records it.
     """
 
     axes: str | None = None
@@ -101,6 +102,7 @@ class Stated:
     refractive_index: float | None = None
     optical_depth: bool = False
     described: bool = False
+    index_applied: str | None = None
 
 
 def described(entries: Mapping[str, Any], where: str) -> Stated:
@@ -199,6 +201,12 @@ def settle(
     real = isinstance(index, int | float | np.number)
     if index is not None and not (real and 1.0 <= index <= 4.0):
         raise InputError(f"{path}: refractive index {index!r} is not between 1 and 4")
+    if not depth_given and (index or 1.0) != 1.0 and is_physical(stated.index_applied):
+        raise InputError(
+            f"{path}: its depth was divided by the refractive index {stated.index_applied} before "
+            f"it was written (refractive_index_applied), and would be divided by {index} once "
+            "more: give 1.0, which keeps it, or open the volume that this one was made from"
+        )
     for axis, value in steps.items():
         if not (math.isfinite(value) and 1e-7 <= value <= 100.0):
             raise InputError(
@@ -221,6 +229,14 @@ def settle(
         format=fmt,
         access=access,
     )
+
+
+def is_physical(index_applied: str | None) -> bool:
+    """Tell whether a depth by which this index was divided, if any, is no optical path."""
+    try:
+        return index_applied is not None and float(index_applied) != 1.0
+    except ValueError:
+        return True  # by something that is no number
 
 
 def _check_extents(steps: dict[str, float], lengths: dict[str, int], path: Path) -> None:

@@ -30,11 +30,12 @@ from .arrays import (
 )
 from .contents import Contents, Variable, translated_errors
 from .labels import coordinate
-from .metadata import VolumeMetadata, settle
+from .metadata import VolumeMetadata, is_physical, settle
 from .units import MM, is_unit_key, split_unit
 
 # What is read at once where B-scans cut across the order of the file.
 _SLAB_BYTES = 64 * 2**20
+_INDEX_APPLIED = "refractive_index_applied"
 
 
 class Volume:
@@ -50,12 +51,15 @@ class Volume:
         check_array(variable.shape, variable.dtype, str(path))
         array = variable.open()
         self._close = close
+        stated = variable.stated
+        if (applied := variable.attrs.get(_INDEX_APPLIED)) is not None:
+            stated = replace(stated, index_applied=str(applied))
         access = variable.access
         if access is None:
             access = "mapped" if isinstance(array, FileArray) else "loaded"
         # Settled twice: the axes decide whether the pages are B-scans.
         metadata = settle(
-            variable.stated,
+            stated,
             shape=array.shape,
             dtype=array.dtype.str,
             path=path,
@@ -81,6 +85,11 @@ class Volume:
         self._slab: tuple[int, NDArray[Any]] | None = None
         self._open = True
         self.metadata = metadata
+        index = metadata.refractive_index
+        if "z" not in (given.get("spacing") or {}) and is_physical(stated.index_applied):
+            self._index_applied = stated.index_applied
+        else:
+            self._index_applied = None if index is None else str(index)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -150,9 +159,9 @@ class Volume:
             "source_format": m.format,
             "source_axes": m.axes,
         }
-        if m.refractive_index is not None:
+        if self._index_applied is not None:
             # Not "refractive_index": that would ask a reader to divide the depth once more.
-            attrs["refractive_index_applied"] = str(m.refractive_index)
+            attrs[_INDEX_APPLIED] = self._index_applied
         return xr.DataArray(variable, coords=coords, name="volume", attrs=attrs)
 
     @cached_property
