@@ -289,6 +289,19 @@ def test_written_netcdf_is_read_back(tmp_path: Path) -> None:
         np.testing.assert_array_equal(copy.bscan(0), first)
 
 
+@given(index=st.floats(1.0, 4.0), start=st.floats(-5.0, 5.0))
+def test_the_whole_depth_is_divided(index: float, start: float, tmp_path: Path) -> None:
+    """What lies at an optical depth is found at this depth over the index."""
+    optical = start + 0.0035 * np.arange(7)
+    facts = {"axes": "zyx", "spacing_mm": [0.0035, 0.02, 0.01], "origin_mm": [start, 1, 2]}
+    np.savez(tmp_path / "a.npz", scan=samples.volume(), scale="linear", **facts)
+    with open_volume(tmp_path / "a.npz", refractive_index=index) as volume:
+        np.testing.assert_allclose(volume.to_xarray().z, optical / index, atol=1e-12)
+        assert volume.metadata.origin[1:] == (1, 2)
+    with open_volume(tmp_path / "a.npz", refractive_index=index, origin={"z": 0.5}) as volume:
+        assert volume.metadata.origin.z == 0.5
+
+
 @pytest.mark.parametrize("ending", ["nc", "zarr"])
 def test_depth_is_not_divided_twice(ending: str, tmp_path: Path) -> None:
     def copy(source: Path, target: str, **facts: Any) -> Path:

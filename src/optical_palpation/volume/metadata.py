@@ -175,7 +175,7 @@ def settle(
                     )
                 facts |= {a: v for a, v in zip(order, values, strict=True) if v is not None}
     steps |= _by_axis(spacing, "spacing")
-    starts |= _by_axis(origin, "origin")
+    given_starts = _by_axis(origin, "origin")
     needed = "zyx" if order is None or "y" in order else "zx"
     if absent := [a for a in needed if a not in steps]:
         missing.append(f"spacing (mm along {', '.join(absent)})")
@@ -214,6 +214,9 @@ def settle(
             )
     lengths = dict(zip(order, shape, strict=True))
     _check_extents({a: steps[a] for a in needed}, lengths, path)
+    if "z" in starts:
+        starts["z"] /= index or 1.0  # an optical path as well
+    starts |= given_starts
     for axis, value in starts.items():
         if not (math.isfinite(value) and abs(value) <= 1e5):
             raise InputError(f"{path}: origin along {axis} is {value!r} mm")

@@ -89,10 +89,11 @@ def open_volume(
     scale
         ``"linear"`` (``"amplitude"`` or ``"intensity"``, where that is known) or ``"dB"``.
     refractive_index
-        Group index by which the stored axial spacing, an optical path, is divided. Leave it out
-        where the stored depth is physical.
+        Group index by which the axial spacing and the stored axial origin, an optical path, are
+        divided. Leave it out where the stored depth is physical.
     origin
-        Position of the first sample in mm by axis; 0 where neither file nor user says more.
+        Position of the first sample in mm by axis; 0 where neither file nor user says more. One
+        that is given along z is physical, not divided by the index.
     untrusted
         Let a process of its own, under limits, go through an HDF5 file before it is opened here,
         because the HDF5 library can crash or never end on one that was damaged on purpose.
