@@ -1253,17 +1253,31 @@ def nifti_of_two_sizes(folder: Path) -> Path:
     return path
 
 
-def nifti_of_one_layer(folder: Path) -> Path:
-    import nibabel
+def nifti_of_one_layer(signs: tuple[int, int, int], order: list[int]) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        import nibabel
 
-    image = nibabel.Nifti1Image(MAP.T[:, :, None], np.diag([0.02, 0.03, 1.0, 1.0]))
-    image.header.set_xyzt_units("mm")
-    nibabel.save(image, folder / "map.nii.gz")
-    return folder / "map.nii.gz"
+        transform = np.diag([0.02, 0.03, 1.0, 1.0]) * [*signs, 1]
+        image = nibabel.Nifti1Image(MAP.T[:, :, None], transform[[*order, 3]])
+        image.header.set_xyzt_units("mm")
+        nibabel.save(image, folder / "map.nii.gz")
+        return folder / "map.nii.gz"
+
+    return make
 
 
 layer = Read(MAP, 0.02 * np.arange(5), 0.03 * np.arange(4))
-add("nifti of one layer", nifti_of_one_layer, layer, variable=None)
+for signs in ((1, 1, 1), (1, 1, -1), (-1, 1, -1), (-1, -1, 1)):
+    upright = nifti_of_one_layer(signs, [0, 1, 2])
+    add(f"nifti of one layer, mirrored {signs}", upright, layer, variable=None)
+for turn, says in (([1, 0, 2], "x and y"), ([2, 1, 0], "x and z"), ([1, 2, 0], "x and y and z")):
+    swapped = nifti_of_one_layer((1, 1, 1), turn)
+    add(
+        f"nifti of one layer, turned {turn}",
+        swapped,
+        Refused(f"swaps {says}; save it"),
+        variable=None,
+    )
 for shape in ((1, 4, 5), (1, 1, 4, 5)):
     values = MAP.reshape(shape)
     add(f"tiff {shape}", tiff(values, photometric="minisblack"), Read(MAP))

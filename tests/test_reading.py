@@ -187,11 +187,14 @@ def test_nifti_whose_header_turns_the_axes_asks_for_them(tmp_path):
 
     data = samples.volume()
     turned = np.array([[0, 0, 10.0, 0], [0, 20.0, 0, 0], [3.5, 0, 0, 0], [0, 0, 0, 1]])
-    for affine in (turned, np.diag([10.0, 20.0, -3.5, 1.0])):
+    for affine, why in (
+        (turned, "swaps x and z"),
+        (np.diag([10.0, 20.0, -3.5, 1.0]), "turns z around"),
+    ):
         image = nibabel.Nifti1Image(data, affine)
         image.header.set_xyzt_units("micron")
         nibabel.save(image, tmp_path / "a.nii")
-        with pytest.raises(InputError, match="does not say: axes"):
+        with pytest.raises(InputError, match=f"does not say: axes .*; its header {why}"):
             open_volume(tmp_path / "a.nii", scale="linear")
     mirrored = nibabel.Nifti1Image(data.transpose(2, 1, 0), np.diag([-10.0, -20.0, 3.5, 1.0]))
     mirrored.header.set_xyzt_units("micron")

@@ -298,6 +298,10 @@ def _order(
     if len(set(filter(None, names))) != len(list(filter(None, names))):
         raise InputError(f"{where}: its dimensions ({', '.join(variable.dims)}) are the same twice")
     rest = [axis for axis in axes if axis not in names]
+    if len(rest) > 1 and variable.stated.no_axes:
+        raise InputError(
+            f"{where}: {variable.stated.no_axes}; save it with the axes {', '.join(sorted(axes))}"
+        )
     unclear = unclear_dimension(variable.dims)
     if len(rest) > 1 and unclear is not None:
         raise InputError(

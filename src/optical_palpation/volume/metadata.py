@@ -92,7 +92,8 @@ class Stated:
     ``described`` marks what its author wrote into it: a format whose images are taken for B-scans
     does not know that they are. ``optical_depth`` marks formats whose depth is an optical path, so
     that the refractive index must be known. ``index_applied`` is the index by which the depth was
-    divided before it was written, as :meth:`Volume.to_xarray` records it.
+    divided before it was written, as :meth:`Volume.to_xarray` records it. ``no_axes`` says why a
+    format that has axes does not state them here.
     """
 
     axes: str | None = None
@@ -103,6 +104,7 @@ class Stated:
     optical_depth: bool = False
     described: bool = False
     index_applied: str | None = None
+    no_axes: str | None = None
 
 
 def described(entries: Mapping[str, Any], where: str) -> Stated:
@@ -157,7 +159,10 @@ def settle(
     missing: list[str] = []
     order = axes if axes is not None else stated.axes
     if order is None:
-        missing.append(f"axes (order of the {len(shape)} axes {shape}, such as 'zyx' or 'yzx')")
+        why = f"; {stated.no_axes}" if stated.no_axes else ""
+        missing.append(
+            f"axes (order of the {len(shape)} axes {shape}, such as 'zyx' or 'yzx'{why})"
+        )
     else:
         order = _check_axes(order, shape, path)
 

@@ -81,8 +81,9 @@ def contents(path: Path, wanted: str | None) -> Contents:
     scaled = proxy.slope != 1 or proxy.inter != 0
     data = _unpacked(path, header, needed) if compressed else _Scaled(proxy, dtype, scaled)
     array = squeezed(LazyArray(data, None if compressed else (*shape[:-1], 1)))
-    stated = _stated(header, array.shape, str(path))
-    dims = tuple("xyz"[: len(array.shape)]) if _is_upright(header) else ()
+    turned = _turned(header, array.shape)
+    stated = _stated(header, array.shape, turned, str(path))
+    dims = tuple("xyz"[: len(array.shape)]) if turned is None else ()
     return Contents.single(array, stated, "loaded" if compressed else "mapped", dims=dims)
 
 
@@ -110,17 +111,14 @@ class _Scaled:
         return self._proxy[key]
 
 
-def _stated(header: Any, shape: tuple[int, ...], path: str) -> Stated:
+def _stated(header: Any, shape: tuple[int, ...], turned: str | None, path: str) -> Stated:
     import nibabel
 
-    upright = _is_upright(header)
-    if len(shape) == 2 and not upright:
-        raise InputError(f"{path}: its header swaps x and y; save it with the axes x, y")
-    axes = "xyz" if len(shape) == 3 and upright else None
+    axes = "xyz" if len(shape) == 3 and turned is None else None
     unit = header.get_xyzt_units()[0]
     factor = {"mm": 1.0, "meter": 1e3, "micron": 1e-3}.get(unit)
     if factor is None:
-        return Stated(axes=axes)
+        return Stated(axes=axes, no_axes=turned)
     zooms = header.get_zooms()[: len(shape)]
     if header["qform_code"] > 0 or header["sform_code"] > 0:
         of_transform = nibabel.affines.voxel_sizes(header.get_best_affine())[: len(shape)]
@@ -129,17 +127,26 @@ def _stated(header: Any, shape: tuple[int, ...], path: str) -> Stated:
                 f"{path}: its header says voxels of {tuple(map(float, zooms))} {unit}, its "
                 f"transform {tuple(map(float, of_transform))}; save it with one of them"
             )
-    return Stated(axes=axes, spacing=tuple(float(step) * factor for step in zooms))
+    spacing = tuple(float(step) * factor for step in zooms)
+    return Stated(axes=axes, spacing=spacing, no_axes=turned)
 
 
-def _is_upright(header: Any) -> bool:
-    """Tell whether the transform to world coordinates keeps the axes, and the direction of z.
+def _turned(header: Any, shape: tuple[int, ...]) -> str | None:
+    """Say how the transform to world coordinates turns the axes, None if it keeps them.
 
-    Mirrored lateral axes are left: ITK writes them into every file.
+    Mirrored lateral axes are left: ITK writes them into every file. A z of one sample, as that of
+    a map, has no direction.
     """
     import nibabel
 
     if not (header["qform_code"] > 0 or header["sform_code"] > 0):
-        return True
-    orientation = nibabel.orientations.io_orientation(header.get_best_affine())
-    return bool(np.array_equal(orientation[:, 0], [0, 1, 2]) and orientation[2, 1] == 1)
+        return None
+    world = nibabel.orientations.io_orientation(header.get_best_affine())[: len(shape)]
+    swapped = [
+        axis for axis, (n, to) in zip("xyz", enumerate(world[:, 0]), strict=False) if n != to
+    ]
+    if swapped:
+        return f"its header swaps {' and '.join(swapped)}"
+    if len(shape) == 3 and shape[2] > 1 and world[2, 1] != 1:
+        return "its header turns z around"
+    return None
