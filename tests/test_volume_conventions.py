@@ -262,6 +262,57 @@ def test_a_nifti_file_of_two_voxel_sizes(tmp_path):
     refused(path, "header says voxels of", **options)
 
 
+@pytest.mark.parametrize("extra", [(), (1,), (1, 1)])
+@pytest.mark.parametrize("single", [None, 0, 1, 2])
+@pytest.mark.parametrize("ending", ["nii", "nii.gz"])
+def test_nifti_leaves_out_what_follows_the_third_axis(tmp_path, single, extra, ending):
+    import nibabel
+
+    values = V if single is None else V.take([0], single)
+    stored = values.transpose(2, 1, 0).reshape((*values.shape[::-1], *extra))
+    image = nibabel.Nifti1Image(stored, np.diag([0.01, 0.02, 0.0035, 1.0]))
+    image.header.set_xyzt_units("mm")
+    nibabel.save(image, tmp_path / f"a.{ending}")
+    right(tmp_path / f"a.{ending}", values, **LINEAR)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("names", ["zyxt", "tyzx", "ytzx", "tczyx", "yzxc", "cyzxt"])
+@pytest.mark.parametrize("single", [False, True])
+def test_zarr_leaves_out_axes_that_are_not_spatial(tmp_path, names, single, version):
+    import zarr
+
+    values = V[:, :1] if single else V
+    sizes = dict(zip("zyx", values.shape, strict=True))
+    order = ["zyx".index(name) for name in names if name in "zyx"]
+    stored = values.transpose(order).reshape([sizes.get(name, 1) for name in names])
+    group = zarr.open_group(str(tmp_path / "a.zarr"), mode="w", zarr_format=version)
+    group.create_array("0", data=stored)
+    axes = [
+        {"name": name, "type": "space" if name in "zyx" else "other"}
+        | ({"unit": "millimeter"} if name in "zyx" else {})
+        for name in names
+    ]
+    scale = {"type": "scale", "scale": [SPACING.get(name, 1.0) for name in names]}
+    image = {"axes": axes, "datasets": [{"path": "0", "coordinateTransformations": [scale]}]}
+    group.attrs.update(
+        {"multiscales": [image]} if version == 2 else {"ome": {"multiscales": [image]}}
+    )
+    right(tmp_path / "a.zarr", values, **LINEAR)
+    named = xr.DataArray(stored, dims=tuple(names), name="oct").to_dataset()
+    named.to_zarr(tmp_path / "b.zarr", zarr_format=version, consolidated=False)
+    right(tmp_path / "b.zarr", values, **GIVEN)
+
+
+def test_zarr_with_two_axes_of_one_and_no_names(tmp_path):
+    import zarr
+
+    zarr.create_array(str(tmp_path / "a.zarr"), data=V[None, :, 0, :, None])
+    refused(tmp_path / "a.zarr", r"4 axes \(1, 7, 6, 1\)", axes="zxy", **GIVEN)
+    zarr.create_array(str(tmp_path / "b.zarr"), data=V[None, None, :, 0])
+    right(tmp_path / "b.zarr", V[:, :1], axes="yzx", **GIVEN)
+
+
 def dicom(folder, change):
     import pydicom
 

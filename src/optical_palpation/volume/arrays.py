@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -170,11 +170,13 @@ def squeezed(base: Array, keep: int = 3) -> Array:
     return base if len(axes) == len(base.shape) else View(base, tuple(axes))
 
 
-def squeezed_axes(shape: tuple[int, ...], keep: int = 3) -> list[int]:
-    """Numbers of the axes that :func:`squeezed` leaves."""
+def squeezed_axes(
+    shape: tuple[int, ...], keep: int = 3, spatial: Collection[int] = ()
+) -> list[int]:
+    """Numbers of the axes that :func:`squeezed` leaves; `spatial` ones only go after all others."""
     axes = list(range(len(shape)))
-    for axis, n in enumerate(shape):
-        if len(axes) > keep and n == 1:
+    for axis in sorted(axes, key=lambda axis: axis in spatial):
+        if len(axes) > keep and shape[axis] == 1:
             axes.remove(axis)
     return axes
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .archive import check_ratio
-from .arrays import MAX_LOADED_BYTES, LazyArray, check_array, nbytes, squeezed
+from .arrays import MAX_LOADED_BYTES, LazyArray, View, check_array, nbytes
 from .contents import Contents
 from .metadata import Stated
 
@@ -80,7 +80,8 @@ def contents(path: Path, wanted: str | None) -> Contents:
     # A slope of 0 or NaN in the header means "not scaled": nibabel sees to that.
     scaled = proxy.slope != 1 or proxy.inter != 0
     data = _unpacked(path, header, needed) if compressed else _Scaled(proxy, dtype, scaled)
-    array = squeezed(LazyArray(data, None if compressed else (*shape[:-1], 1)))
+    whole = LazyArray(data, None if compressed else (*shape[:2], *[1] * len(shape[2:])))
+    array = View(whole, tuple(range(len(shape[:3]))))  # without time and what else follows
     turned = _turned(header, array.shape)
     stated = _stated(header, array.shape, turned, str(path))
     dims = tuple("xyz"[: len(array.shape)]) if turned is None else ()

@@ -266,7 +266,7 @@ def chosen(path: Path, contents: Contents, name: str | None) -> Variable:
                 f"--variable): {', '.join(found[:20])}"
             )
     if len(variables) == 1:
-        return next(iter(variables.values()))
+        return _described(path, contents, next(iter(variables)))
     inside = ", ".join(f"{name} {v.shape}" for name, v in list(variables.items())[:20])
     raise InputError(f"{path}: no array with three axes; it holds {inside or 'none'}")
 

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from .arrays import MAX_BSCAN_BYTES, Array, LazyArray, nbytes, squeezed, squeezed_axes
+from .arrays import MAX_BSCAN_BYTES, Array, LazyArray, View, nbytes, squeezed_axes
+from .axes import axes_of_dimensions
 from .cf import Decoded
 from .contents import Contents, Variable, unit_texts, unit_texts_above
 from .metadata import DESCRIPTIONS, Stated, described
@@ -63,8 +64,8 @@ def contents(path: Path, wanted: str | None) -> Contents:
     array: Any = node[image["datasets"][0]["path"]]
     if not isinstance(array, zarr.Array):
         raise InputError(f"{path}: {image['datasets'][0]['path']} is not an array")
-    stated = _ome(image, array.shape, str(path))
-    return Contents({"": _variable(path, array, stated)})
+    stated, kept = _ome(image, array.shape, str(path))
+    return Contents({"": _variable(path, array, stated, kept)})
 
 
 def _fill_values(array: Any, attrs: dict[str, Any], where: str) -> list[float]:
@@ -83,19 +84,23 @@ def _fill_values(array: Any, attrs: dict[str, Any], where: str) -> list[float]:
     return [fill for fill in fills if math.isfinite(fill)]
 
 
-def _variable(path: Path, array: Any, stated: Stated | None = None) -> Variable:
+def _variable(
+    path: Path, array: Any, stated: Stated | None = None, kept: list[int] | None = None
+) -> Variable:
+    """An array, or of an OME-Zarr image what is stated of it and the axes that are spatial."""
     where = f"{path}: {array.path or 'array'}"
     attrs = dict(array.attrs)
     if stated is None:
         stated = described({key: attrs[key] for key in DESCRIPTIONS if key in attrs}, where)
     named = getattr(array.metadata, "dimension_names", None) or attrs.pop("_ARRAY_DIMENSIONS", ())
-    kept = squeezed_axes(array.shape)
-    dims = tuple(str(named[a] or "") for a in kept) if len(named) == array.ndim else ()
+    named = [str(name or "") for name in named] if len(named) == array.ndim else []
+    kept = kept or _kept_axes(array.shape, named)
+    dims = tuple(named[a] for a in kept) if named else ()
     dtype = np.dtype(array.dtype)
     shape = tuple(array.shape[a] for a in kept)
     if dtype.kind not in "iuf":
         return Variable(
-            shape, dtype, lambda: _opened(path, array, where), "streamed", dims, attrs, stated
+            shape, dtype, lambda: _opened(path, array, kept, where), "streamed", dims, attrs, stated
         )
     axes = [f"axis {number}" for number in range(len(shape))]
     decoding = partial(
@@ -104,17 +109,30 @@ def _variable(path: Path, array: Any, stated: Stated | None = None) -> Variable:
     unread = decoding(np.broadcast_to(np.zeros((), dtype), shape))
 
     def opened() -> Array:
-        return decoding(_opened(path, array, where))
+        return decoding(_opened(path, array, kept, where))
 
     return Variable(shape, unread.dtype, opened, "streamed", dims, unread.attrs, stated)
 
 
-def _opened(path: Path, array: Any, where: str) -> Array:
-    """Check what the library does not, and hand the array over."""
+def _kept_axes(shape: tuple[int, ...], named: list[str]) -> list[int]:
+    """Axes but for those of length one that are not spatial; all, where it is unclear which.
+
+    Of several that lie apart one could be y, as of (1, 400, 500, 1); neighbours are the same.
+    """
+    spatial = [axis for axis, of in enumerate(axes_of_dimensions(named)) if of is not None]
+    single = [axis for axis, n in enumerate(shape) if n == 1 and axis not in spatial]
+    kept = squeezed_axes(shape, spatial=spatial)
+    apart = bool(single) and single[-1] - single[0] >= len(single)
+    unclear = apart and len(shape) - len(kept) < len(single)
+    return list(range(len(shape))) if unclear else kept
+
+
+def _opened(path: Path, array: Any, kept: list[int], where: str) -> Array:
+    """Check what the library does not, and hand the array over with the axes that are kept."""
     _check_codecs(array.metadata.to_dict(), where)
     if min(array.chunks, default=0) < 1:
         raise InputError(f"{where} has chunks of {array.chunks} samples: damaged")
-    view = squeezed(LazyArray(array, array.chunks))
+    view = View(LazyArray(array, array.chunks), tuple(kept))
     if nbytes(array.chunks, view.dtype) > MAX_BSCAN_BYTES:
         raise InputError(f"{where} has chunks of {array.chunks} samples: too large to read")
     per_axis = [-(-n // c) for n, c in zip(array.shape, array.chunks, strict=True)]
@@ -194,8 +212,8 @@ def _ome_image(attributes: Any, where: str) -> Any:
     return None
 
 
-def _ome(image: Any, shape: tuple[int, ...], where: str) -> Stated:
-    """Axes, scale and origin of an OME-Zarr image, without its time and channel axes of one."""
+def _ome(image: Any, shape: tuple[int, ...], where: str) -> tuple[Stated, list[int]]:
+    """Axes, scale and origin of an OME-Zarr image, and the numbers of its spatial axes."""
     axes = image["axes"]
     factors: Any = np.ones(len(shape))
     shifts: Any = np.zeros(len(shape))
@@ -218,4 +236,4 @@ def _ome(image: Any, shape: tuple[int, ...], where: str) -> Stated:
     origin = None
     if shifts.any() and all(axes[i].get("unit") for i in kept):
         origin = tuple(to_mm(shifts[i], axes[i]["unit"], where) for i in kept)
-    return Stated("".join(axes[i]["name"] for i in kept), tuple(spacing), origin)
+    return Stated("".join(axes[i]["name"] for i in kept), tuple(spacing), origin), kept
