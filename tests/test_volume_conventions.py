@@ -156,6 +156,59 @@ def test_channels_of_imagej_that_are_slices(tmp_path):
     refused(path, 'metadata={"axes": "ZYX"}', **GIVEN)
 
 
+def test_distance_of_bscans_in_time(tmp_path):
+    path = tmp_path / "a.tif"
+    meta = {"unit": "mm", "spacing": 0.5}
+    resolution = (1 / SPACING["x"], 1 / SPACING["z"])
+    tifffile.imwrite(
+        path, PAGES, imagej=True, resolution=resolution, metadata=meta | {"axes": "TYX"}
+    )
+    refused(path, r"spacing \(mm along y\)", **LINEAR)
+    right(path, **LINEAR, spacing={"y": 0.02})
+
+
+def imagej(path, said, values=PAGES, one_page=False, **options):
+    """A stack whose description tells of other planes than it holds; its first page may be all."""
+    described = "ImageJ=1.53t\n" + said
+    options |= {"metadata": None, "photometric": "minisblack", "description": described}
+    if not one_page:
+        tifffile.imwrite(path, values, **options)
+        return path
+    tifffile.imwrite(path, values[0], **options)
+    with path.open("ab") as file:
+        file.write(values[1:].tobytes())
+    return path
+
+
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize("said", ["", "images=5\nslices=5\n", "images=5\nframes=5\n", "images=1\n"])
+def test_stacks_that_are_described_rightly(tmp_path, said, compression):
+    right(imagej(tmp_path / "a.tif", said, compression=compression), **GIVEN)
+
+
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize(
+    "said",
+    [
+        *(f"images={n}\n{name}={n}\n" for n in (3, 4, 6, 9) for name in ("slices", "frames")),
+        *("images=5\nslices=3\n", "images=3\nslices=5\n", "slices=3\n", "images=6\n"),
+    ],
+)
+def test_stacks_of_other_planes_than_described(tmp_path, said, compression):
+    path = imagej(tmp_path / "a.tif", said, compression=compression)
+    refused(path, r"tells of [3469] planes, the file holds 5", **GIVEN)
+
+
+def test_a_stack_of_one_page_directory(tmp_path):
+    path = imagej(tmp_path / "a.tif", "images=5\nslices=5\n", one_page=True)
+    right(path, **GIVEN)
+    path.write_bytes(path.read_bytes()[:-1])
+    refused(path, "tells of 5 planes, the file holds 4", **GIVEN)
+    packed = {"compression": "zlib", "values": PAGES[:1]}
+    path = imagej(tmp_path / "b.tif", "images=5\nslices=5\n", one_page=True, **packed)
+    refused(path, "tells of 5 planes, the file holds 1", **GIVEN)
+
+
 @pytest.mark.parametrize("compression", [None, "zlib"])
 @pytest.mark.parametrize(
     ("values", "axes"),

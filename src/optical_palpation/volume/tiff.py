@@ -132,6 +132,8 @@ def _exactly(stream: IO[bytes], n: int, path: Path) -> bytes:
 
 def page_array(path: Path, file: Any) -> Any:
     """Array of an open TIFF file's only series of pages, but for smaller copies of it."""
+    if file.is_imagej:
+        _check_planes(path, file)
     if not file.series:
         raise InputError(f"{path}: holds no pages")
     series, *others = (s for n, s in enumerate(file.series) if n == 0 or not s.keyframe.is_reduced)
@@ -174,6 +176,28 @@ def page_array(path: Path, file: Any) -> Any:
 
     array: Any = PagedArray(read_page, dtype, (pages, rows, columns))
     return squeezed(array, keep=2) if len(shape) == 2 else array
+
+
+def _check_planes(path: Path, file: Any) -> None:
+    """Refuse an ImageJ stack of more or fewer planes than its description says.
+
+    It may have one page directory only: the other planes follow the first one. A description of
+    one plane says nothing of a stack that was put together of such files.
+    """
+    metadata = file.imagej_metadata or {}
+    page, pages = file.pages.first, len(file.pages)
+    said = {metadata.get("images", 1)}
+    said.add(math.prod(metadata.get(name, 1) for name in ("frames", "slices", "channels")))
+    for planes in sorted(n for n in said if n != 1):
+        held = pages
+        if pages < planes and page.is_memmappable and page.nbytes:
+            end = file.pages[1].offset if pages > 1 else path.stat().st_size
+            held = max(pages, min(planes, (end - page.dataoffsets[0]) // page.nbytes))
+        if held != planes:
+            raise InputError(
+                f"{path}: ImageJ's description tells of {planes} planes, the file holds {held}: it "
+                "is cut short, or its pages were changed; save the stack anew"
+            )
 
 
 def _axes(series: Any) -> list[int]:
@@ -373,7 +397,8 @@ def _imagej(metadata: dict[str, Any], page: Any, stack: bool, path: str) -> Stat
         return to_mm(one / per_unit, unit, path) if per_unit else None
 
     rows, columns = step("YResolution"), step("XResolution")
-    distance = metadata.get("spacing")
+    # of a series in time, the depth of a voxel, not the distance of its B-scans
+    distance = None if metadata.get("frames", 1) != 1 else metadata.get("spacing")
     between = None if distance is None else to_mm(_number(distance, path), unit, path)
     return Stated(axes=axes, spacing=(between, rows, columns) if stack else (rows, columns))
 
