@@ -1108,19 +1108,27 @@ for version in (2, 3):
         )
 
 
-def zarr_without_a_chunk(folder: Path) -> Path:
-    path = zarr(None)(folder)
-    import zarr as library
+def zarr_without_a_chunk(fill: float | None) -> Callable[[Path], Path]:
+    def make(folder: Path) -> Path:
+        path = zarr(None)(folder)
+        import zarr as library
 
-    array = library.create_array(
-        str(path), data=MAP, chunks=(2, 2), zarr_format=2, fill_value=None, overwrite=True
-    )
-    assert array.fill_value is None
-    (path / "1.1").unlink()
-    return path
+        array = library.create_array(
+            str(path), data=MAP, chunks=(2, 2), zarr_format=2, fill_value=fill, overwrite=True
+        )
+        assert array.fill_value == fill
+        (path / "1.1").unlink()
+        return path
+
+    return make
 
 
-add("zarr without a chunk and a fill value", zarr_without_a_chunk, Refused("lacks 1 of 6 chunks"))
+without_fill = zarr_without_a_chunk(None)
+add("zarr without a chunk and a fill value", without_fill, Refused("lacks 1 of 6 chunks"))
+holed_chunk = MAP.copy()
+holed_chunk[2:, 2:4] = np.nan
+for fill in (0.0, 0.5):
+    add(f"zarr without a chunk, to be {fill}", zarr_without_a_chunk(fill), Read(holed_chunk))
 add("zarr unit of the group", zarr_unit_of_group, Read(MAP))
 
 rng = np.random.default_rng(3)

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import tifffile
 import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from PIL import Image
 
 from optical_palpation.errors import InputError
@@ -490,3 +492,43 @@ def test_a_saturated_byte_of_zarr_is_no_fill_value(tmp_path, version):
     )
     array[:] = values
     right(tmp_path / "a.zarr", values, axes="zyx", **GIVEN)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("fill", [0, 255])
+@pytest.mark.parametrize("dtype", ["u1", "i2", "f4", "c8"])
+@given(data=st.data())
+@settings(max_examples=5)
+def test_chunks_of_zarr_that_are_not_there(tmp_path, version, fill, dtype, data):
+    import zarr
+
+    values = (V * (1 + 0.5j)).astype(dtype) if dtype == "c8" else V.astype(dtype)
+    layout = {"chunks": (3, 2, 4), "shards": None}
+    if version == 3 and data.draw(st.booleans()):
+        layout = {"chunks": (3, 1, 2), "shards": (3, 2, 4)}
+    store = tmp_path / "a.zarr"
+    array = zarr.create_array(
+        str(store),
+        shape=V.shape,
+        dtype=dtype,
+        fill_value=fill,
+        zarr_format=version,
+        overwrite=True,
+        config={"write_empty_chunks": True},
+        **layout,
+    )
+    array[:] = values
+    expected = values.astype(np.result_type(dtype, "f4"))
+    places = st.tuples(st.integers(0, 2), st.integers(0, 2), st.integers(0, 1))
+    for place in data.draw(st.sets(places, max_size=17)):
+        (store / array.metadata.encode_chunk_key(place)).unlink()
+        within = tuple(slice(n * i, n * (i + 1)) for n, i in zip((3, 2, 4), place, strict=True))
+        expected[within] = np.nan
+    right(store, expected, axes="zyx", **GIVEN)
+
+
+def test_no_chunk_of_a_zarr_array_is_there(tmp_path):
+    import zarr
+
+    zarr.create_array(str(tmp_path / "a.zarr"), shape=V.shape, dtype="f4")
+    refused(tmp_path / "a.zarr", "no samples stored", axes="zyx", **GIVEN)

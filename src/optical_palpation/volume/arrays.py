@@ -159,6 +159,39 @@ class View:
         )
 
 
+class Incomplete:
+    """Another array, in parts of which some were never stored: their values are missing, NaN.
+
+    The type is that of what is stored; a block with missing values is floating-point.
+
+    Parameters
+    ----------
+    base
+        What is read, with anything where a part is absent.
+    size
+        Lengths of a part, along each axis.
+    stored
+        Which parts are there.
+    """
+
+    def __init__(self, base: Array, size: tuple[int, ...], stored: NDArray[np.bool_]) -> None:
+        self._base, self._size, self._stored = base, size, stored
+        self.shape, self.chunks, self.dtype = base.shape, base.chunks, base.dtype
+        self.random_access = base.random_access
+
+    def __getitem__(self, key: Key) -> NDArray[Any]:
+        values = self._base[key]
+        part_of = [
+            np.arange(*along.indices(n)) // size
+            for along, n, size in zip(key, self.shape, self._size, strict=True)
+        ]
+        absent = ~self._stored[np.ix_(*part_of)]
+        if absent.any():
+            values = values.astype(np.result_type(values.dtype, np.float32))
+            values[absent] = np.nan
+        return values
+
+
 def reversed_axes(base: Array) -> View:
     """View column-major samples, as MATLAB and Fortran count their axes."""
     return View(base, tuple(reversed(range(len(base.shape)))))

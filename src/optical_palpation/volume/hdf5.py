@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .arrays import MAX_BSCAN_BYTES, Key, LazyArray, View, nbytes, reversed_axes
+from .arrays import MAX_BSCAN_BYTES, Array, Incomplete, Key, LazyArray, View, nbytes, reversed_axes
 from .axes import axes_of_dimensions
 from .cf import Decoded
 from .contents import Contents, Variable, unit_texts, unit_texts_above
@@ -178,10 +178,12 @@ def _refuse_links(path: Path, file: Any, name: str) -> None:
             return
 
 
-def stored_array(path: Path, dataset: Any) -> _Stored:
+def stored_array(path: Path, dataset: Any) -> Array:
     """Values of a dataset that lie in this file, NaN where a chunk was never written."""
     _check_stored(path, dataset)
-    return _Stored(path, dataset)
+    array = _Stored(path, dataset)
+    written = _written_chunks(path, dataset)
+    return array if written is None else Incomplete(array, array.chunks, written)
 
 
 def is_complex_pair(dtype: np.dtype[Any]) -> bool:
@@ -246,7 +248,7 @@ def _check_stored(path: Path, dataset: Any) -> None:
 
 
 class _Stored:
-    """A dataset; complex where it holds pairs, NaN where chunks are absent."""
+    """A dataset; complex where it holds pairs."""
 
     random_access = True
 
@@ -257,7 +259,6 @@ class _Stored:
         self._parts = [n for n in ("real", "r", "imag", "i") if pairs and n in dataset.dtype.names]
         self.dtype = np.dtype(np.complex128) if pairs else dataset.dtype
         self.chunks = dataset.chunks or (1,) * len(self.shape)
-        self._written = _written_chunks(path, dataset)
 
     def __getitem__(self, key: Key) -> NDArray[Any]:
         try:
@@ -273,17 +274,8 @@ class _Stored:
         if self._parts:
             values = np.empty(stored.shape, np.complex128)
             values.real, values.imag = (stored[part] for part in self._parts)
-        else:
-            values = np.asarray(stored)
-        if self._written is None:
             return values
-        values = values.astype(np.result_type(values.dtype, np.float32))
-        chunk_of = [
-            np.arange(*part.indices(n)) // size
-            for part, n, size in zip(key, self.shape, self.chunks, strict=True)
-        ]
-        values[~self._written[np.ix_(*chunk_of)]] = np.nan
-        return values
+        return np.asarray(stored)
 
 
 def _absent_filters(dataset: Any) -> list[str]:

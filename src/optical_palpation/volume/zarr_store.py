@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
-from .arrays import MAX_BSCAN_BYTES, Array, LazyArray, View, nbytes, squeezed_axes
+from .arrays import MAX_BSCAN_BYTES, Array, Incomplete, LazyArray, View, nbytes, squeezed_axes
 from .axes import axes_of_dimensions
 from .cf import Decoded
 from .contents import Contents, Variable, unit_texts, unit_texts_above
@@ -132,23 +133,38 @@ def _opened(path: Path, array: Any, kept: list[int], where: str) -> Array:
     _check_codecs(array.metadata.to_dict(), where)
     if min(array.chunks, default=0) < 1:
         raise InputError(f"{where} has chunks of {array.chunks} samples: damaged")
-    view = View(LazyArray(array, array.chunks), tuple(kept))
-    if nbytes(array.chunks, view.dtype) > MAX_BSCAN_BYTES:
+    if nbytes(array.chunks, np.dtype(array.dtype)) > MAX_BSCAN_BYTES:
         raise InputError(f"{where} has chunks of {array.chunks} samples: too large to read")
     per_axis = [-(-n // c) for n, c in zip(array.shape, array.chunks, strict=True)]
     if math.prod(sorted(per_axis)[-2:]) > _MAX_CHUNKS:
         raise InputError(
             f"{where} has chunks of {array.chunks} samples: too small to read; rechunk it"
         )
-    if array.nchunks_initialized == 0:
+    # what is a file: a chunk, or a shard of several
+    size = getattr(array, "shards", None) or array.chunks
+    stored = _stored_chunks(path / array.path, array, size)
+    absent = stored.size - np.count_nonzero(stored)
+    if absent == stored.size:
         raise InputError(f"{where} has no samples stored")
-    if array.fill_value is None and array.nchunks_initialized < array.nchunks:
+    if array.fill_value is None and absent:
         raise InputError(
-            f"{where} lacks {array.nchunks - array.nchunks_initialized} of {array.nchunks} chunks, "
-            "and no fill value says what they hold: copy it whole, or give it the fill value NaN"
+            f"{where} lacks {absent} of {stored.size} chunks, and no fill value says what they "
+            "hold: copy it whole, or give it the fill value NaN"
         )
     _check_blosc(path / array.path, array, where)
-    return view
+    whole: Array = LazyArray(array, array.chunks)
+    if absent:
+        whole = Incomplete(whole, size, stored)
+    return View(whole, tuple(kept))
+
+
+def _stored_chunks(folder: Path, array: Any, size: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which chunks, or shards, lie in the folder of an array."""
+    files = {file.relative_to(folder).as_posix() for file in folder.rglob("*")}
+    key_of = array.metadata.encode_chunk_key
+    counts = [-(-n // step) for n, step in zip(array.shape, size, strict=True)]
+    stored = [key_of(place) in files for place in np.ndindex(*counts)]
+    return np.array(stored, bool).reshape(counts)
 
 
 def _arrays(group: Any, prefix: str, path: Path) -> list[tuple[str, Any]]:
