@@ -223,6 +223,22 @@ for fmt, write in NETCDF.items():
         Read(MAP, X, Y),
         variable="L1",
     )
+    for silent, positions in (("x", 1000 * X), ("y", 1000 * Y)):
+        other = "y" if silent == "x" else "x"
+        add(
+            f"{fmt} um along {other}, and perhaps along {silent}",
+            stored(
+                write,
+                {
+                    "L1": (("x", "y"), MAP.T, {}),
+                    "x": (("x",), 1000 * X + 0.5, {"units": "um"}),
+                    "y": (("y",), 1000 * Y + 0.5, {"units": "um"}),
+                    silent: ((silent,), positions * 0.987, {}),
+                },
+            ),
+            Refused(f"{other} is in um, and {silent} states no unit: um as well, or mm"),
+            variable="L1",
+        )
     add(
         f"{fmt} axis attributes name the axes",
         stored(

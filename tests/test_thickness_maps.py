@@ -331,6 +331,11 @@ IN_MEMORY = xr.DataArray(
         (IN_MEMORY.assign_coords(x=np.arange(6), y=np.arange(3)), {}, "no coordinates in mm"),
         (np.ones((3, 6)), {"field_of_view": "55"}, "2 finite numbers"),
         (IN_MEMORY.assign_coords(x=[0, 0.1, 0.2, 50, 50.1, 50.2]), {}, "jump from 0.2 to 50 mm"),
+        (
+            IN_MEMORY.assign_coords(y=("y", [0.0, 0.17, 0.34], {"units": "um"})),
+            {},
+            "coordinate y is in um, and x states no unit",
+        ),
         (IN_MEMORY.rename(x="line", y="other"), {"field_of_view": (1, 1)}, r"not \(y, x\)"),
     ],
 )

@@ -13,7 +13,7 @@ from scipy.interpolate import RectBivariateSpline
 from optical_palpation.arguments import explained
 from optical_palpation.errors import InputError
 from optical_palpation.volume.axes import axes_of_dimensions, unclear_dimension
-from optical_palpation.volume.labels import PIXEL, counts_pixels, unit_of_positions
+from optical_palpation.volume.labels import PIXEL, check_units, counts_pixels, unit_of_positions
 from optical_palpation.volume.units import MM, stated_unit
 
 # Of the width of a map, by which the extent of the layer may reach beyond it: rounding.
@@ -295,16 +295,18 @@ def _unlabelled(values: Any, where: str) -> tuple[NDArray[Any], dict[str, NDArra
         if set(order) != {"x", "y"}:
             raise InputError(f"{where}: has the dimensions {values.dims}, not (y, x)")
         values = values.transpose(*(dims[order.index(axis)] for axis in "yx"))
-    coordinates = {}
+    coordinates, stored = {}, []
     for axis, dim in zip("yx", values.dims, strict=True):
         if dim in values.coords and order.count(axis):
             own = values[dim]
             unit = unit_of_positions(str(dim), own.attrs, f"{where}, coordinate {dim}")
             positions = _floats(own.values, axis, where)
             if unit != PIXEL and (unit or not counts_pixels(own.values)):
+                stored.append((str(dim), positions, unit))
                 coordinates[axis] = positions * MM[unit or "mm"]
             elif positions[0] > positions[-1]:
                 values = values.isel({dim: slice(None, None, -1)})
+    check_units(stored, where)
     unit = stated_unit(str(values.name or ""), values.attrs, where) or "mm"
     return np.asarray(values.values, np.float64) * MM[unit], coordinates
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -138,6 +138,41 @@ def unit_of_positions(name: str, attrs: Mapping[str, object], where: str) -> str
     return stated_unit(name, attrs, where)
 
 
+def check_units(
+    coordinates: Sequence[tuple[str, NDArray[np.float64], str | None]], where: str
+) -> None:
+    """Refuse a coordinate without a unit that fits another one better in the unit of that.
+
+    It would be in mm. Where the other is in um and its pixels are more alike if both are, nobody
+    knows.
+
+    Parameters
+    ----------
+    coordinates
+        Name, positions as stored, and unit of each.
+    where
+        Names the array in errors.
+
+    Raises
+    ------
+    InputError
+        If there is such a one.
+    """
+    for name, positions, unit in coordinates:
+        for silent, others, none in coordinates:
+            if unit is None or none is not None or min(positions.size, others.size) < 2:
+                continue
+            step, other = (np.ptp(along) / (along.size - 1) for along in (positions, others))
+            if not step * other > 0.0:
+                continue
+            alike = abs(np.log(other / step))
+            if alike < abs(np.log(other / (step * MM[unit]))):
+                raise InputError(
+                    f"{where}: its coordinate {name} is in {unit}, and {silent} states no unit: "
+                    f"{unit} as well, or mm? State it"
+                )
+
+
 def counts_pixels(positions: NDArray) -> bool:
     """Tell whether positions are whole numbers or a whole number apart: without a unit no mm.
 
@@ -217,6 +252,7 @@ def labelled(
     order = _order(variable, found, axes, where)
     values = values_of(path, name, variable).transpose([order.index(axis) for axis in axes])
     positions: dict[str, NDArray[np.float64] | None] = {}
+    vectors = []
     for number, axis in enumerate(axes):
         given = found[axis]
         if given is None:
@@ -237,8 +273,10 @@ def labelled(
             positions[axis] = None
             values = np.flip(values, number) if vector[0] > vector[-1] else values
             continue
+        vectors.append((given.name, vector, given.unit))
         unit = given.unit or _common_unit(contents, given, f"{path}, variable {given.name}")
         positions[axis] = vector * MM[unit]
+    check_units(vectors, where)
     return Labelled(values, positions, tuple(order))
 
 
