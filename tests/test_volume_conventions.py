@@ -64,6 +64,40 @@ def test_axes_that_contradict_the_dimensions(tmp_path):
     refused(tmp_path / "a.h5", "axes are said to be zyx", **LINEAR)
 
 
+def labelled_hdf5(path, attrs, steps=SPACING):
+    with h5py.File(path, "w") as file:
+        file["oct"] = PAGES
+        file["oct"].attrs.update(attrs)
+        for number, axis in enumerate("yzx"):
+            file[axis] = steps[axis] * np.arange(PAGES.shape[number])
+            file[axis].attrs["units"] = "mm"
+            file[axis].make_scale(axis)
+            file["oct"].dims[number].attach_scale(file[axis])
+    return path
+
+
+@pytest.mark.parametrize("axis", "yzx")
+def test_spacing_that_contradicts_the_coordinates(tmp_path, axis):
+    stated = {"spacing_mm": [SPACING[a] for a in "yzx"], "scale": "linear"}
+    right(labelled_hdf5(tmp_path / "a.h5", stated))
+    for factor in (0.9, 1.02, 2, -1):
+        steps = SPACING | {axis: factor * SPACING[axis]}
+        path = labelled_hdf5(tmp_path / "b.h5", stated, steps)
+        refused(path, f"spacing along {axis} is said to be .* coordinate {axis} has steps of")
+    near = SPACING | {axis: 1.004 * SPACING[axis]}  # rounded
+    right(labelled_hdf5(tmp_path / "c.h5", stated, near))
+    physical = SPACING | {"z": SPACING["z"] / 1.4}
+    right(labelled_hdf5(tmp_path / "d.h5", stated | {"refractive_index": 1.4}, physical))
+
+
+@pytest.mark.parametrize("unit", ["dB", "decibel"])
+def test_a_scale_that_contradicts_the_unit(tmp_path, unit):
+    for scale in ("linear", "amplitude", "intensity"):
+        path = labelled_hdf5(tmp_path / "a.h5", {"scale": scale, "units": unit})
+        refused(path, f"scale is said to be {scale}, its unit {unit.lower()}")
+    right(labelled_hdf5(tmp_path / "a.h5", {"scale": "dB", "units": unit}))
+
+
 def test_dimensions_go_with_spacing_by_an_attribute(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["oct"] = PAGES

@@ -30,11 +30,13 @@ from .arrays import (
 )
 from .contents import Contents, Variable, translated_errors
 from .labels import coordinate
-from .metadata import VolumeMetadata, is_physical, settle
+from .metadata import Stated, VolumeMetadata, is_physical, settle
 from .units import MM, is_unit_key, split_unit
 
 # What is read at once where B-scans cut across the order of the file.
 _SLAB_BYTES = 64 * 2**20
+# By how much two statements of it may differ, relatively.
+_SAME_SPACING = 1e-2
 _INDEX_APPLIED = "refractive_index_applied"
 
 
@@ -276,7 +278,12 @@ def _described(path: Path, contents: Contents, name: str) -> Variable:
     axes = "".join(split_unit(dim)[0].lower() for dim in variable.dims)
     stated = variable.stated
     unit = next((str(v).strip().lower() for k, v in variable.attrs.items() if is_unit_key(k)), "")
-    if stated.scale is None and unit in ("db", "decibel", "decibels"):
+    if unit in ("db", "decibel", "decibels"):
+        if stated.scale not in (None, "dB"):
+            raise InputError(
+                f"{path}, variable {name}: its scale is said to be {stated.scale}, its unit "
+                f"{unit}; leave the true one"
+            )
         stated = replace(stated, scale="dB")
         variable = replace(variable, stated=stated)
     named = sorted(axes) in (["x", "y", "z"], ["x", "z"])
@@ -285,8 +292,12 @@ def _described(path: Path, contents: Contents, name: str) -> Variable:
             f"{path}, variable {name}: its axes are said to be {stated.axes}, but its dimensions "
             f"are ({', '.join(variable.dims)})"
         )
-    if not named or stated.spacing is not None:
-        return replace(variable, stated=replace(stated, axes=axes)) if named else variable
+    if not named:
+        return variable
+    if stated.spacing is not None:
+        stated = replace(stated, axes=axes)
+        _check_spacing(path, contents, name, stated)
+        return replace(variable, stated=stated)
     spacing: list[float | None] = []
     origin = []
     for axis, n in zip(axes, variable.shape, strict=True):
@@ -304,6 +315,27 @@ def _described(path: Path, contents: Contents, name: str) -> Variable:
         origin.append(found.values[0] * MM[found.unit])
     stated = replace(stated, axes=axes, spacing=tuple(spacing), origin=tuple(origin))
     return replace(variable, stated=stated)
+
+
+def _check_spacing(path: Path, contents: Contents, name: str, stated: Stated) -> None:
+    """Refuse coordinates that lie at another distance than the spacing that is stated."""
+    for axis, n, spacing in zip(
+        stated.axes or "", contents.variables[name].shape, stated.spacing or (), strict=False
+    ):
+        try:
+            found = coordinate(path, contents, name, axis)
+        except InputError:  # nothing that could be compared
+            continue
+        if n < 2 or not spacing or found is None or not found.unit or found.values.shape != (n,):
+            continue
+        step = (found.values[-1] - found.values[0]) / (n - 1) * MM[found.unit]
+        index = (stated.refractive_index if axis == "z" else None) or 1.0
+        # a coordinate may have been divided by the index already
+        if not any(np.isclose(step * by, spacing, rtol=_SAME_SPACING) for by in (1.0, index)):
+            raise InputError(
+                f"{path}, variable {name}: its spacing along {axis} is said to be {spacing:g} mm, "
+                f"but its coordinate {found.name} has steps of {step:g} mm; leave the true one"
+            )
 
 
 def _loaded(array: Array, path: Path) -> Array:
