@@ -728,6 +728,52 @@ for name, content, answer in (
     ("unit in a comment, in words", "% thickness in microns\n" + rows(values=1e3 * MAP), Read(MAP)),
     ("unit (z)", "# Unit (z): micrometer\n" + rows(values=1e3 * MAP), Read(MAP)),
     ("name of Octave", "# name: L1_um\n# rows: 4\n" + rows(" ", values=1e3 * MAP), Read(MAP)),
+    *(
+        (f"header of Octave, {said}", f"# name: L1\n# {said}\n" + rows(" "), answer)
+        for said, answer in {
+            "rows: 4": Read(MAP),
+            "columns: 5": Read(MAP),
+            "Columns: 5": Read(MAP),
+            "rows: 5": Refused("rows: 5, but the table has 4"),
+            "rows: 40": Refused("rows: 40, but the table has 4"),
+            "columns: 4": Refused("columns: 4, but the table has 5"),
+            "rows: y, columns: x": Read(MAP),
+        }.items()
+    ),
+    (
+        "header of a table with numbers of its rows",
+        "# rows: 4\n# columns: 5\n,a,b,c,d,e\n"
+        + "".join(f"{n},{line}\n" for n, line in enumerate(rows().splitlines())),
+        Read(MAP),
+    ),
+    *(
+        (f"unit that is none of a thickness: {remark}", f"# {remark}\n" + rows(), Refused(unit))
+        for remark, unit in {
+            "thickness [px]": "'px'; known units",
+            "thickness in pixels": "'pixels'; known",
+            "thickness (pixel)": "'pixel'; known",
+            "thickness (voxels)": "'voxels'; known",
+            "thickness in inches": "'inches'; known",
+            "L1 [inch]": "'inch'; known",
+            "depth in mil": "'mil'; known",
+            "thickness (mils)": "'mils'; known",
+            "thickness [Å]": "'Å'; known",
+            "imprint in px": "states px, perhaps for the positions only",
+        }.items()
+    ),
+    *(
+        (f"unit of something else: {remark}", f"# {remark}\n" + rows(), Read(MAP))
+        for remark in (
+            "position in pixels",
+            "size in pixels: 5 x 4",
+            "every 3 pixels in B-scan 7",
+            "field of view (px) 500 x 400",
+            "1 inch objective",
+            "resolution in px",
+            "thickness in mm, x in px",
+        )
+    ),
+    ("latin-1 unit", ("# thickness [µm]\n" + rows()).encode("latin-1"), Refused("or write um")),
     ("units of each axis", "# x unit: um\n# z unit: mm\n" + rows(), Read(MAP)),
     ("unit of the pixels", "# pixel size [um]: 20\n" + rows(), Refused("for the positions only")),
     ("no number of Excel", rows(values=HOLED).replace(",,", ",#N/A,"), Refused("'#N/A' is no num")),

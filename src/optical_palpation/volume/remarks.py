@@ -10,12 +10,15 @@ from .units import length_unit, split_unit
 
 _LONGEST = 1000  # characters of a comment that are searched
 _NAME = re.compile(r"\s*name:\s*(\S+)", re.IGNORECASE)  # of Octave: # name: L1_um
+# Units that numbers have and a thickness in a file has not, if nothing else is meant by the word.
+_NO_LENGTH = r"(?:px|pix|pixels?|voxels?|inch|inches|mils?|å|angstroms?)"
 # Anything after "unit:", else a unit of length.
 _UNIT = re.compile(
     r"(?:(?<![a-z])units?|\b\w*einheit(?:en)?)(?![a-z])[^:=,;]{0,40}[:=]\s*"
     r"(?P<said>(?!(?:[xyz]|lateral|axial)\b)[^\s,;0-9=]+)(?![^\s,;])"
     r"|(?<![\w-])(?P<length>[munc]m|[µμ]m|microns?|(?:milli|micro|nano|centi)met(?:er|re)s?"
-    r"|(?<=[\[(])m(?=[\])])|(?<=\bin )m)(?![\w-])",
+    r"|(?<=[\[(])m(?=[\])])|(?<=\bin )m"
+    rf"|(?<=[\[(]){_NO_LENGTH}(?=[\])])|(?<=\bin ){_NO_LENGTH})(?![\w-])",
     re.IGNORECASE,
 )
 _NUMBER_BEFORE = re.compile(r"(?<![\w.])[-+]?\.?[0-9][0-9.e+-]*\s*/?\s*$", re.IGNORECASE)  # 1/mm

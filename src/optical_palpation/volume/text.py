@@ -42,6 +42,7 @@ _MAX_REMARKS = 10_000
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 # What Octave, and NumPy's users after its manual, write above each of several arrays.
 _ONE_ARRAY = re.compile(r"\s*(?:name:|new slice)", re.IGNORECASE)
+_SIZE = re.compile(r"\s*(?P<axis>rows|columns):\s*(?P<count>[0-9]{1,9})\s*", re.IGNORECASE)
 _OTHER_MATRIX = re.compile(r"\s*type:\s*((?:sparse|diagonal|permutation|complex) .*matrix)\s*")
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9.]*,[0-9]+|[0-9]+\s+[-+]?[0-9]+")  # 0,5 0,6
 # What a first column of coordinates or numbers is called.
@@ -159,7 +160,22 @@ def read_table(path: Path) -> tuple[NDArray[np.float64], str | None, str | None]
     if unfinished and columns > 1 and header is not None and not named:
         table = table[:, :-1]  # no column of that name: the separator ends the line
         header = Line(header.number, header.cells[: columns - 1])
-    return _without_labels(path, header, table), *_stated_unit(path, remarks, header)
+    labelled, table = table, _without_labels(path, header, table)
+    _refuse_other_size(path, remarks, labelled.shape, table.shape)
+    return table, *_stated_unit(path, remarks, header)
+
+
+def _refuse_other_size(path: Path, remarks: list[str], *shapes: tuple[int, ...]) -> None:
+    """Refuse a table of which no shape, with or without labels, is that of Octave's header."""
+    for remark in remarks:
+        if (said := _SIZE.fullmatch(remark)) is None:
+            continue
+        counts = [shape[said["axis"].lower() == "columns"] for shape in shapes]
+        if int(said["count"]) not in counts:
+            raise InputError(
+                f"{path}: its header says {remark.strip()}, but the table has {counts[-1]}: it is "
+                "cut short, or the header is of another table. Save it anew, or correct the header"
+            )
 
 
 def _refuse_several(path: Path, remarks: list[str], blocks: list[int]) -> None:
@@ -536,6 +552,11 @@ def _lines(path: Path, comments: str, remarks: list[str] | None) -> Iterator[tup
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     except UnicodeDecodeError as error:
+        if error.object[error.start : error.start + 2] == b"\xb5m":
+            raise InputError(
+                f"{path}: its unit µm is written in Latin-1, as Windows does; save it as text in "
+                "UTF-8, or write um"
+            ) from error
         raise InputError(
             f"{path} is neither text in UTF-8 nor in another known format; if it is a table, save "
             "it as text in UTF-8"
