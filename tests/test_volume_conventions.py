@@ -439,6 +439,31 @@ def test_dicom_of_floating_point_numbers(tmp_path):
     right(dicom(tmp_path, change), V + 0.25, **LINEAR)
 
 
+@given(frames=st.integers(1, 12), held=st.integers(1, 12), padding=st.integers(0, 1))
+def test_dicom_of_more_or_fewer_frames_than_said(tmp_path, frames, held, padding):
+    def change(image, _):
+        image.NumberOfFrames = frames
+        image.BitsAllocated = image.BitsStored = 8
+        image.HighBit = 7
+        image.PixelData = stored[:, :held].transpose(1, 0, 2).tobytes() + bytes(2 * padding)
+
+    stored = volume((7, 12, 6), "u1")
+    path = dicom(tmp_path, change)
+    if frames == held:
+        right(path, stored[:, :held], **LINEAR, spacing=SPACING)
+    else:
+        says = f"NumberOfFrames is {frames}, but PixelData holds {held} frames|do not fit in"
+        refused(path, says, **LINEAR, spacing=SPACING)
+
+
+def test_dicom_whose_samples_are_shifted(tmp_path):
+    def change(image, _):
+        image.BitsStored, image.HighBit = 12, 15
+        image.PixelData = (PAGES.astype("<u2") << 4).tobytes()
+
+    refused(dicom(tmp_path, change), "highest of 12 bits is bit 15, not 11", **LINEAR)
+
+
 @pytest.mark.parametrize(
     ("at", "says"),
     [

@@ -61,6 +61,12 @@ def contents(path: Path, wanted: str | None) -> Contents:
     rows, columns, bits = (int(_number(path, header, n, 0)) for n in names)
     if bits not in (8, 16, 32):
         raise InputError(f"{path}: {bits} bits per sample are not supported")
+    bits_stored, high_bit = (_number(path, header, n, -1) for n in ("BitsStored", "HighBit"))
+    if min(bits_stored, high_bit) >= 0 and high_bit != bits_stored - 1:
+        raise InputError(
+            f"{path}: the highest of {bits_stored:g} bits is bit {high_bit:g}, not "
+            f"{bits_stored - 1:g}: its samples are shifted; save it with samples in the lowest bits"
+        )
     stored = np.dtype(f"{'i' if header.get('PixelRepresentation', 0) else 'u'}{bits // 8}")
     if bits == 32 and "BitsStored" not in header:  # those of FloatPixelData
         stored = np.dtype("f4")
@@ -75,6 +81,8 @@ def contents(path: Path, wanted: str | None) -> Contents:
         raise InputError(
             f"{path}: {frames} frames of {rows} x {columns} do not fit in {size} bytes"
         )
+    if not compressed:
+        _check_length(path, frames, nbytes((rows, columns), stored))
     if nbytes((rows, columns), stored) > MAX_BSCAN_BYTES:
         raise InputError(f"{path}: frames of {rows} x {columns} samples are too large")
 
@@ -99,6 +107,23 @@ def contents(path: Path, wanted: str | None) -> Contents:
     if frames == 1:
         array = squeezed(array, keep=2)
     return Contents.single(array, _stated(path, header, frames), "streamed")
+
+
+def _check_length(path: Path, frames: int, frame_bytes: int) -> None:
+    """Refuse more or fewer uncompressed frames than the header says."""
+    import pydicom
+
+    names = ["PixelData", "FloatPixelData"]
+    found = pydicom.dcmread(path, defer_size=1024, specific_tags=names)  # too large to be read
+    for name in names:
+        if name in found:
+            element: Any = found.get_item(name, keep_deferred=True)
+            length = element.length if hasattr(element, "length") else len(element.value)
+            if (held := length // frame_bytes) != frames:
+                raise InputError(
+                    f"{path}: NumberOfFrames is {frames}, but {name} holds {held} frames of "
+                    f"{frame_bytes} bytes: it is damaged, or not all of the volume"
+                )
 
 
 def _transform(path: Path, header: Any) -> Any:
