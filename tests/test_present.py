@@ -200,6 +200,75 @@ def test_what_is_no_result_is_refused(tmp_path, content):
         read_result(path)
 
 
+def changed(maps, **variables):
+    return maps.assign({name: maps[name].pipe(change) for name, change in variables.items()})
+
+
+def unit(factor, name):
+    return lambda values: (values * factor).assign_attrs(units=name)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda m: changed(m, axial_stress=unit(1e3, "Pa")), "axial_stress is in 'Pa'.* in kPa"),
+        (lambda m: changed(m, contact_pressure=unit(1, "MPa")), "contact_pressure is in 'MPa'"),
+        (lambda m: changed(m, loaded_thickness=unit(1e3, "um")), "loaded_thickness is in 'um'"),
+        (lambda m: m.assign_coords(x=m.x.pipe(unit(1e3, "um"))), "x is in 'um'.* in mm"),
+        (lambda m: m.isel(y=slice(None, None, -1)), "coordinate y must be numbers in mm that rise"),
+        (lambda m: m.assign_coords(x=m.x.where(m.x > 1)), "coordinate x must be numbers"),
+        (lambda m: m.assign_coords(x=m.x.astype(str)), "coordinate x must be numbers"),
+        (lambda m: m.drop_vars("y"), "no coordinate y"),
+        (lambda m: m.transpose("x", "y"), r"has the dimensions \(x, y\), not \(y, x\)"),
+        (lambda m: m.expand_dims("time"), r"dimensions \(time, y, x\)"),
+        (lambda m: changed(m, axial_stress=lambda v: v.astype(str)), "not real numbers"),
+        (lambda m: m.assign_attrs(sample_force_mN="76.6"), "sample_force_mN is '76.6', no number"),
+        (lambda m: m.drop_attrs().assign_attrs(force_error_mN=3.0), "no force sample_force_mN"),
+        (lambda m: m, None),
+        (lambda m: m.isel(x=slice(2, 5), y=[1]), None),
+        (lambda m: m.drop_attrs(), None),
+        (lambda m: m.where(m.x > 1), None),
+        (lambda m: m[["axial_stress"]], None),
+        (lambda m: m.assign_coords(x=m.x.assign_attrs(units="millimeter")), None),
+    ],
+)
+def test_maps_that_were_altered(tmp_path, change, says):
+    write_result(example(), tmp_path / "out.nc")
+    maps = change(xr.load_dataset(tmp_path / "out.nc", engine="h5netcdf"))
+    maps.to_netcdf(tmp_path / "in.nc", engine="h5netcdf")
+    if says is None:
+        xr.testing.assert_equal(read_result(tmp_path / "in.nc").maps, maps)
+        return
+    with pytest.raises(InputError, match=rf"in\.nc: .*{says}"):
+        read_result(tmp_path / "in.nc")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda layer: layer.drop_vars("position"), "layer lacks position"),
+        (lambda layer: layer.drop_vars("window_contact_state"), "lacks window_contact_state"),
+        (lambda layer: layer.drop_vars("component"), "component should be x, y, z, not without"),
+        (lambda layer: layer.isel(tensor=[1, 0, 2, 3, 4, 5]), "tensor should be xx, yy, zz"),
+        (lambda layer: layer.isel(cell_x=slice(2)), "6 nodes along x, but 2 elements"),
+        (
+            lambda layer: layer.transpose("node_x", "node_y", "node_z", ...),
+            r"position of the layer should be numbers on \(z, y, x, component\)",
+        ),
+        (lambda layer: changed(layer, cauchy_stress=unit(1e3, "Pa")), "cauchy_stress is in 'Pa'"),
+        (lambda layer: changed(layer, position=unit(1e3, "um")), "position is in 'um'"),
+    ],
+)
+def test_a_layer_that_was_altered(tmp_path, change, says):
+    write_result(example(), tmp_path / "in.nc")
+    tree = xr.load_datatree(tmp_path / "in.nc", engine="h5netcdf")
+    layer = tree["layer"].to_dataset(inherit=False)
+    tree["layer"] = xr.DataTree(change(layer))
+    tree.to_netcdf(tmp_path / "in.nc", engine="h5netcdf")
+    with pytest.raises(InputError, match=rf"in\.nc.*{says}"):
+        read_result(tmp_path / "in.nc")
+
+
 @given(data=st.data())
 @settings(max_examples=10)
 def test_damaged_result_is_refused(tmp_path, data):

@@ -14,6 +14,7 @@ from optical_palpation.errors import InputError
 from optical_palpation.files import netcdf
 from optical_palpation.palpation.result import CONTACT_FLAGS, StressResult
 from optical_palpation.present.output import atomic, provenance
+from optical_palpation.present.result_checks import check_layer, check_maps, check_points
 from optical_palpation.present.state import GROUPS, read_state, state_groups
 from optical_palpation.volume import hdf5
 
@@ -95,7 +96,8 @@ def read_result(path: str | Path) -> StressResult:
     Raises
     ------
     InputError
-        The file is missing, damaged or no NetCDF-4 file, or holds no stress result.
+        The file is missing, damaged or no NetCDF-4 file, or holds no stress result; or another
+        program has changed its units, the order of its axes, or what its layer is made of.
     """
     import h5py
 
@@ -131,17 +133,23 @@ def read_result(path: str | Path) -> StressResult:
     if "axial_stress" not in maps:
         found = ", ".join(map(str, maps.data_vars)) or "nothing"
         raise InputError(f"{path}: holds no stress result (no variable axial_stress, but {found})")
+    units = {name: str(attrs.get("units", "")) for name, attrs in _ATTRIBUTES.items()}
+    check_maps(maps, units, str(path))
     layer = groups.pop("layer", None)
     if layer is not None:
         layer = layer.rename({b: a for a, b in _NODE_AXES.items() if b in layer.dims})
+        check_layer(layer, units, str(path))
     pixels = groups.pop("pixels", None)
     if pixels is not None:
         pixels = pixels.rename({b: a for a, b in _PIXEL_AXES.items() if b in pixels.dims})
+        check_maps(pixels, units, f"{path}, group pixels")
     derivatives = groups.pop("sensitivities", None)
     if derivatives is not None:
+        check_points(derivatives, maps, f"{path}, group sensitivities")
         derivatives = derivatives.assign_coords({axis: maps[axis] for axis in "yx"})
     series = groups.pop("series", None)
     if series is not None:
+        check_points(series, maps, f"{path}, group series")
         series = series.assign_coords({axis: maps[axis] for axis in "yx"})
     return StressResult(
         maps,
