@@ -1,6 +1,7 @@
 """Volumes by the conventions of other programs: read rightly, or refused."""
 
 import json
+import tracemalloc
 
 import h5py
 import numpy as np
@@ -349,6 +350,39 @@ def test_a_nifti_file_of_two_voxel_sizes(tmp_path):
     content[80:92] = np.ones(3, "<f4").tobytes()  # pixdim
     path.write_bytes(content)
     refused(path, "header says voxels of", **options)
+
+
+@pytest.mark.parametrize("dtype", ["u1", "i2", "i4", "f4", "f8"])
+@pytest.mark.parametrize("ending", ["nii", "nii.gz"])
+@given(slope=st.floats(1e-3, 1e3), inter=st.floats(-1e3, 1e3))
+@settings(max_examples=5)
+def test_scaled_values_of_nifti(tmp_path, ending, dtype, slope, inter):
+    import nibabel
+
+    stored = V.transpose(2, 1, 0).astype(dtype)
+    image = nibabel.Nifti1Image(stored, np.diag([0.01, 0.02, 0.0035, 1.0]))
+    image.header.set_xyzt_units("mm")
+    image.header.set_slope_inter(slope, inter)
+    nibabel.save(image, tmp_path / f"a.{ending}")
+    header = nibabel.load(tmp_path / f"a.{ending}").dataobj  # as it is stored, in single precision
+    expected = V.astype("f8") * header.slope + header.inter
+    values = read(tmp_path / f"a.{ending}", **LINEAR)
+    np.testing.assert_allclose(values, expected, rtol=1e-5, atol=1e-6 * (200 * slope + abs(inter)))
+
+
+def test_a_scaled_nifti_file_takes_the_memory_of_what_is_stored(tmp_path):
+    import nibabel
+
+    stored = np.random.default_rng(1).integers(0, 200, (64, 128, 256), "u1")
+    image = nibabel.Nifti1Image(stored, np.eye(4))
+    image.header.set_slope_inter(0.5, 1.0)
+    nibabel.save(image, tmp_path / "a.nii.gz")
+    tracemalloc.start()
+    with open_volume(tmp_path / "a.nii.gz", **GIVEN, axes="xyz") as found:
+        np.testing.assert_array_equal(found.bscan(3), stored[:, 3].T * np.float32(0.5) + 1)
+        peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3 * stored.nbytes
 
 
 @pytest.mark.parametrize("extra", [(), (1,), (1, 1)])

@@ -77,9 +77,16 @@ def contents(path: Path, wanted: str | None) -> Contents:
             f"{path}: {shape} samples need {needed} bytes, the file has {path.stat().st_size}: "
             "it is truncated, or its header is wrong"
         )
+    # As it is stored: of whole numbers, scaled ones take up to eight times the memory.
+    data: Any
+    spec = (proxy.shape, dtype, proxy.offset)
+    if compressed:
+        data = _unpacked(path, spec, needed)
+    else:
+        data = nibabel.arrayproxy.ArrayProxy(str(path), spec, mmap=False)
     # A slope of 0 or NaN in the header means "not scaled": nibabel sees to that.
-    scaled = proxy.slope != 1 or proxy.inter != 0
-    data = _unpacked(path, header, needed) if compressed else _Scaled(proxy, dtype, scaled)
+    if proxy.slope != 1 or proxy.inter != 0:
+        data = _Scaled(data, dtype, proxy.slope, proxy.inter)
     whole = LazyArray(data, None if compressed else (*shape[:2], *[1] * len(shape[2:])))
     array = View(whole, tuple(range(len(shape[:3]))))  # without time and what else follows
     turned = _turned(header, array.shape)
@@ -88,12 +95,12 @@ def contents(path: Path, wanted: str | None) -> Contents:
     return Contents.single(array, stated, "loaded" if compressed else "mapped", dims=dims)
 
 
-def _unpacked(path: Path, header: Any, needed: int) -> NDArray[Any]:
+def _unpacked(path: Path, spec: tuple[Any, ...], needed: int) -> NDArray[Any]:
     """Samples of a file that is packed, whatever it is called; its sum is checked."""
     from nibabel.arrayproxy import ArrayProxy
 
     with gzip.open(path) as stream:
-        data = np.asanyarray(ArrayProxy(stream, header, mmap=False))
+        data = np.asanyarray(ArrayProxy(stream, spec, mmap=False))
         while stream.read(2**20):
             if stream.tell() > 2 * needed + _MOST_MORE:
                 raise InputError(f"{path}: far more follows the samples: damaged")
@@ -101,15 +108,16 @@ def _unpacked(path: Path, header: Any, needed: int) -> NDArray[Any]:
 
 
 class _Scaled:
-    """The proxy with the type of what it returns, in place of that of what is stored."""
+    """Stored samples, scaled block by block as they are read."""
 
-    def __init__(self, proxy: Any, dtype: np.dtype[Any], scaled: bool) -> None:
-        self._proxy = proxy
-        self.shape = proxy.shape
-        self.dtype = np.result_type(dtype, np.float32) if scaled else dtype
+    def __init__(self, stored: Any, dtype: np.dtype[Any], slope: float, inter: float) -> None:
+        self._stored, self._slope, self._inter = stored, slope, inter
+        self.shape = stored.shape
+        self.dtype = np.result_type(dtype, np.float32)
 
     def __getitem__(self, key: Any) -> Any:
-        return self._proxy[key]
+        block = np.asarray(self._stored[key])
+        return (block * self._slope + self._inter).astype(self.dtype)
 
 
 def _stated(header: Any, shape: tuple[int, ...], turned: str | None, path: str) -> Stated:
