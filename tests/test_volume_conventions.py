@@ -557,6 +557,37 @@ def test_raw_samples_with_two_sidecars(tmp_path):
     refused(path, "has two sidecars")
 
 
+MAGICS = [b"BM", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"II*\0", b"\x89HDF\r\n\x1a\n", b"CDF\x01"]
+MAGICS += [b"\x93NUMPY\x01\0", b"PK\x03\x04", b"\x1f\x8b\x08", b"MATLAB 5.0", b"abc"]
+
+
+@pytest.mark.parametrize("magic", MAGICS)
+def test_raw_samples_that_look_like_another_format(tmp_path, magic):
+    values = V.astype("u1")
+    values.reshape(-1)[: len(magic)] = np.frombuffer(magic, "u1")
+    path, _ = WRITERS["raw_json"](tmp_path, values)
+    right(path, values)
+
+
+NOTES = [
+    "{",
+    " " * 2**17,
+    '{"dtype": "u1"}',
+    '{"shape": [1], "a": 2}',
+    '{"dtype": [1], "shape": 2}',
+]
+
+
+@pytest.mark.parametrize("notes", NOTES)
+def test_notes_beside_a_file_of_another_format(tmp_path, notes):
+    path, options = WRITERS["hdf5"](tmp_path, V)
+    path.with_name(path.name + ".json").write_text(notes)
+    right(path, **options)
+    entries = {"dtype": "float32", "shape": V.shape[::-1]}  # of the array, not of the file
+    path.with_name(path.name + ".json").write_text(json.dumps(entries))
+    right(path, **options)
+
+
 @pytest.mark.parametrize(
     "limits",
     [

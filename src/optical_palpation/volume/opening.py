@@ -37,7 +37,8 @@ _OTHERS = {
     b"\0\0\0\0": "perhaps MATLAB's version 4; save it with -v7",
 }
 
-#: Formats of volumes. Raw files have no mark of their own: they come last.
+#: Formats of volumes. Raw files have no mark of their own: they come last, but for those that are
+#: described, whose first samples may look like any mark.
 READERS: tuple[Reader, ...] = (
     thorlabs,
     numpy_files,
@@ -138,6 +139,11 @@ def is_known(path: Path, readers: Sequence[Reader] = READERS) -> bool:
     return any(reader.recognises(path, head) for reader in readers)
 
 
+def _in_order(path: Path, head: bytes, readers: Sequence[Reader]) -> Sequence[Reader]:
+    """Readers in the order in which they are asked whether a file, or a folder, is theirs."""
+    return (raw, *readers) if head and raw.is_described(path) else readers
+
+
 def open_contents(
     path: Path,
     wanted: str | None = None,
@@ -155,7 +161,7 @@ def open_contents(
     head = _head(path)
     if untrusted and hdf5.recognises(path, head):
         hdf5.try_out(path)
-    for reader in readers:
+    for reader in _in_order(path, head, readers):
         with translated_errors(path, reader.FORMAT):
             if reader.recognises(path, head):
                 return reader, reader.contents(path, wanted)

@@ -44,6 +44,14 @@ def recognises(path: Path, head: bytes) -> bool:
     return bool(head) and _sidecar(path) is not None
 
 
+def is_described(path: Path) -> bool:
+    """Tell whether a sidecar describes a file to the last byte: whatever its samples look like."""
+    try:
+        return _sidecar(path) is not None and bool(contents(path, None).variables)
+    except (InputError, OSError, TypeError, ValueError):  # of notes of another program, perhaps
+        return False
+
+
 def contents(path: Path, wanted: str | None) -> Contents:
     """Read the sidecar."""
     found = _sidecar(path)
