@@ -1356,6 +1356,13 @@ for shape in ((1, 4, 5), (1, 1, 4, 5)):
 for compression in (None, "zlib"):
     options = {"photometric": "minisblack", "compression": compression}
     add(f"tiff last axis of one, {compression}", tiff(MAP[..., None], **options), Read(MAP))
+for options in ({}, {"variable": "map"}, {"variable": "map.L1"}):
+    add(
+        f"mat5 structure {options}",
+        stored(lambda path, _: scipy.io.savemat(path, {"map": {"L1": MAP}}), {}),
+        Refused(r"Not read: map \(a structure"),
+        **FIELD | options,
+    )
 add("nifti turned by its transform", nifti_turned, Refused("swaps x and y"))
 add("nifti of two pixel sizes", nifti_of_two_sizes, Refused("header says voxels of"))
 

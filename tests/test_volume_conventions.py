@@ -317,6 +317,43 @@ def test_images_that_are_not_grey(tmp_path, mode, ending, says):
     refused(path, f"{says}.*save it in grey", **GIVEN)
 
 
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("dicom", "but DICOM files: give one file with all B-scans"),
+        ("npy", "but NumPy files: give"),
+    ],
+)
+def test_folders_of_other_files(tmp_path, name, says):
+    path, options = WRITERS[name](tmp_path, V)
+    path.with_name("notes.txt").write_text("of us")
+    refused(tmp_path, f"holds no images .*, {says}", **options)
+
+
+def test_a_volume_within_a_structure_of_matlab(tmp_path):
+    import scipy.io
+
+    path = tmp_path / "a.mat"
+    scipy.io.savemat(path, {"scan": {"vol": V}, "n": 3.0})
+    for options in ({}, {"variable": "scan"}, {"variable": "scan.vol"}):
+        refused(path, r"Not read: scan \(a structure.*as a variable of its own", **GIVEN, **options)
+
+
+@pytest.mark.parametrize("axes", [None, ["z", "y", "x"]])
+@pytest.mark.parametrize("version", ["0.1", "0.3", None])
+def test_ome_zarr_that_is_too_old(tmp_path, axes, version):
+    import zarr
+
+    group = zarr.open_group(str(tmp_path / "a.zarr"), mode="w", zarr_format=2)
+    group.create_array("0", data=V)
+    image = {"datasets": [{"path": "0"}]}
+    image |= {"axes": axes} if axes else {}
+    image |= {"version": version} if version else {}
+    group.attrs["multiscales"] = [image]
+    said = version or "before 0.4"
+    refused(tmp_path / "a.zarr", f"OME-Zarr metadata, version {said}, are too old", **GIVEN)
+
+
 def end_of_first_variable(content):
     return 128 + 8 + int.from_bytes(content[132:136], "little") - 1
 

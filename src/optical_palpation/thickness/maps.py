@@ -24,7 +24,7 @@ from optical_palpation.thickness.frames import (
     thickness_map,
 )
 from optical_palpation.volume import zarr_store
-from optical_palpation.volume.contents import Variable, translated_errors
+from optical_palpation.volume.contents import Contents, Variable, translated_errors
 from optical_palpation.volume.labels import attributes_of, axis_of, labelled
 from optical_palpation.volume.masks import apply_masks, is_mask
 from optical_palpation.volume.opening import MAP_READERS, open_contents
@@ -162,7 +162,7 @@ def _read(
     reader, contents = open_contents(path, variable, readers=MAP_READERS, untrusted=untrusted)
     with contents, translated_errors(path, reader.FORMAT):
         contents.variables = {key: array.as_map() for key, array in contents.variables.items()}
-        name = _choose(contents.variables, variable, path)
+        name = _choose(contents, variable, path)
         where = f"{path}, variable {name}" if name else str(path)
         array = contents.variables[name]
         attrs = attributes_of(path, contents, name)
@@ -241,7 +241,8 @@ def write_thickness_map(thickness: xr.DataArray | xr.Dataset, path: str | os.Pat
         temporary.write_bytes(content)
 
 
-def _choose(variables: Mapping[str, Variable], wanted: str | None, path: Path) -> str:
+def _choose(contents: Contents, wanted: str | None, path: Path) -> str:
+    variables = contents.variables
     described = {
         name: f"{name} ({' x '.join(map(str, array.shape)) or 'scalar'} {array.dtype})"
         for name, array in variables.items()
@@ -251,7 +252,10 @@ def _choose(variables: Mapping[str, Variable], wanted: str | None, path: Path) -
         if list(variables) == [""]:
             raise InputError(f"{path} holds one map without a name: leave out variable {wanted!r}")
         if wanted not in variables:
-            raise InputError(f"{path} has no variable {wanted!r}; it holds {listing or 'none'}")
+            raise InputError(
+                f"{path} has no variable {wanted!r}; it holds {listing or 'none'}"
+                + contents.passed_over()
+            )
         return wanted
     if len(variables) == 1:
         return next(iter(variables))
@@ -278,5 +282,6 @@ def _choose(variables: Mapping[str, Variable], wanted: str | None, path: Path) -
         raise InputError(
             f"{path} holds no array that can be a thickness map (two-dimensional, floating-point, "
             f"at least 2 x 2 pixels): {listing or 'it has no arrays of numbers'}"
+            + contents.passed_over()
         )
     return fitting[0]

@@ -100,6 +100,15 @@ class Contents:
                 return found
         return {key: text for key, text in self.texts.items() if is_unit_key(key)}
 
+    def passed_over(self) -> str:
+        """Say which parts are not read, for the end of an error; empty if there are none."""
+        if not self.unread:
+            return ""
+        return (
+            f". Not read: {', '.join(list(self.unread)[:20])} (a structure, a cell, an object or "
+            "text); save an array that is in it as a variable of its own"
+        )
+
     @classmethod
     def single(
         cls,

@@ -25,6 +25,11 @@ FORMAT = "B-scan images"
 _MAGIC = (b"\x89PNG\r\n\x1a\n", b"BM", b"\xff\xd8\xff")
 _SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff")
 _NOT_READ = (".gif", ".webp", ".jp2", ".j2k", ".pgm", ".pnm", ".ppm", ".dng", ".avif", ".heic")
+#: What a folder may hold in place of images, by the first bytes or those after DICOM's preamble.
+_OTHERS = {
+    b"DICM": "DICOM files: give one file with all B-scans as its frames, or save them as images",
+    b"\x93NUMPY": "NumPy files: give one of them, or all in one (numpy.save of numpy.stack)",
+}
 _SIGN = re.compile(r"(?:^|[^0-9A-Za-z])[-+]$")
 _ORIENTATION = 274  # of EXIF
 _PILLOW_FORMATS = ("PNG", "BMP", "JPEG")
@@ -45,7 +50,7 @@ def contents(path: Path, wanted: str | None) -> Contents:
     """Read every image's header; they must agree."""
     files = _images(path) if path.is_dir() else [path]
     if not files:
-        raise InputError(f"{path}: holds no images (PNG, BMP, JPEG, TIFF)")
+        raise InputError(f"{path}: holds no images (PNG, BMP, JPEG, TIFF){_instead(path)}")
     shape, dtype = _header(files[0])
     for file in files[1:]:
         other = _header(file)
@@ -76,6 +81,18 @@ def _images(folder: Path) -> list[Path]:
                 elif file.suffix.lower() in _NOT_READ:
                     raise InputError(f"{file}: save it as PNG or TIFF; this format is not read")
     return sorted(found, key=_natural)
+
+
+def _instead(folder: Path) -> str:
+    """Say what to give in place of a folder of other files, for the end of an error."""
+    for file in sorted(folder.iterdir()):
+        if file.is_file():
+            with file.open("rb") as stream:
+                head = stream.read(132)
+            for mark, said in _OTHERS.items():
+                if mark in (head[: len(mark)], head[128:]):
+                    return f", but {said}"
+    return ""
 
 
 def _check_sequence(files: list[Path]) -> None:

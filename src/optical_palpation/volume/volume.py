@@ -256,6 +256,7 @@ def chosen(path: Path, contents: Contents, name: str | None) -> Variable:
         if name not in variables:
             raise InputError(
                 f"{path}: no array {name!r}; it holds {', '.join(list(variables)[:20]) or 'none'}"
+                + contents.passed_over()
             )
         return _described(path, contents, name)
     for axes in (3, 2):
@@ -267,10 +268,12 @@ def chosen(path: Path, contents: Contents, name: str | None) -> Variable:
                 f"{path}: holds several arrays; choose one by variable (on the command line "
                 f"--variable): {', '.join(found[:20])}"
             )
-    if len(variables) == 1:
+    if len(variables) == 1 and any(n != 1 for v in variables.values() for n in v.shape):
         return _described(path, contents, next(iter(variables)))
     inside = ", ".join(f"{name} {v.shape}" for name, v in list(variables.items())[:20])
-    raise InputError(f"{path}: no array with three axes; it holds {inside or 'none'}")
+    raise InputError(
+        f"{path}: no array with three axes; it holds {inside or 'none'}{contents.passed_over()}"
+    )
 
 
 def _described(path: Path, contents: Contents, name: str) -> Variable:

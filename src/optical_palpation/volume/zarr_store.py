@@ -219,10 +219,16 @@ def _ome_image(attributes: Any, where: str) -> Any:
         if isinstance(level, dict) and level.get("multiscales"):
             try:
                 image = level["multiscales"][0]
+                if all(isinstance(axis, str) for axis in image.get("axes", ())):
+                    version = image.get("version", "before 0.4")
+                    raise InputError(
+                        f"{where}: its OME-Zarr metadata, version {version}, are too old, without "
+                        "units and scale; convert it to version 0.4 or later"
+                    )
                 axes_named = all(isinstance(axis["name"], str) for axis in image["axes"])
                 if axes_named and isinstance(image["datasets"][0]["path"], str):
                     return image
-            except (LookupError, TypeError):
+            except (AttributeError, LookupError, TypeError):
                 pass
             raise InputError(f"{where}: its OME-Zarr metadata are damaged")
     return None
