@@ -30,6 +30,8 @@ _CODECS = {
     *("bytes", "transpose", "crc32c", "sharding_indexed", "blosc", "zstd", "gzip", "zlib", "lz4"),
     *("bz2", "lzma", "shuffle", "delta"),
 }
+# Whose axes have names only, or none.
+_OLD_OME = ("0.1", "0.2", "0.3", "before 0.4")
 _MAX_ARRAYS = 1000
 # Of a B-scan, each of them a file.
 _MAX_CHUNKS = 10_000
@@ -219,8 +221,9 @@ def _ome_image(attributes: Any, where: str) -> Any:
         if isinstance(level, dict) and level.get("multiscales"):
             try:
                 image = level["multiscales"][0]
-                if all(isinstance(axis, str) for axis in image.get("axes", ())):
-                    version = image.get("version", "before 0.4")
+                version = image.get("version", "before 0.4")
+                bare = all(isinstance(axis, str) for axis in image.get("axes", ()))
+                if bare and version in _OLD_OME:
                     raise InputError(
                         f"{where}: its OME-Zarr metadata, version {version}, are too old, without "
                         "units and scale; convert it to version 0.4 or later"
