@@ -268,8 +268,10 @@ def chosen(path: Path, contents: Contents, name: str | None) -> Variable:
                 f"{path}: holds several arrays; choose one by variable (on the command line "
                 f"--variable): {', '.join(found[:20])}"
             )
-    if len(variables) == 1 and any(n != 1 for v in variables.values() for n in v.shape):
-        return _described(path, contents, next(iter(variables)))
+    if len(variables) == 1:
+        (only,) = variables
+        if not contents.unread or any(n != 1 for n in variables[only].shape):
+            return _described(path, contents, only)
     inside = ", ".join(f"{name} {v.shape}" for name, v in list(variables.items())[:20])
     raise InputError(
         f"{path}: no array with three axes; it holds {inside or 'none'}{contents.passed_over()}"
