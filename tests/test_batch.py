@@ -86,6 +86,19 @@ def test_csv(tmp_path):
     assert batch.scans[1].overrides == {"sample.motion": "../m.nc"}
 
 
+def test_keys_of_every_kind_of_input_are_columns(tmp_path):
+    path = tmp_path / "t.csv"
+    columns = "title,loaded.field_of_view,unloaded.thickness,volumes.spacing.z,sample.law"
+    path.write_text(f'study,{columns}\nstudy.toml,12,"[4, 4]",0.5,0.004,layer\n')
+    assert read_batch(path).scans[0].overrides == {
+        "title": "12",
+        "loaded.field_of_view": [4, 4],
+        "unloaded.thickness": 0.5,
+        "volumes.spacing.z": 0.004,
+        "sample.law": "layer",
+    }
+
+
 def test_toml_with_a_sweep(tmp_path):
     path = tmp_path / "t.toml"
     path.write_text(
@@ -144,6 +157,13 @@ def test_folder(tmp_path):
     [
         ("t.csv", "name,loaded.map\na,b", "no column named study"),
         ("t.csv", "study,frction.window\ns,1", "frction.window"),
+        ("t.csv", "study,loaded\ns,1.npz", "did you mean loaded.volume or loaded.map"),
+        ("t.csv", "study,material\ns,PDMS", "material is a table; did you mean material.law"),
+        ("t.csv", "study,friction.windw\ns,0.3", "did you mean window"),
+        ("t.csv", "study,friction.window.x\ns,0.3", "friction.window is no table"),
+        ("t.csv", "study,window\ns,0.3", "did you mean .*friction.window"),
+        ("t.csv", "study,map\ns,1.npz", "did you mean unloaded.map or loaded.map"),
+        ("t.toml", "study = 's'\n[[scan]]\nloaded = '1.npz'", "did you mean .*loaded.map"),
         ("t.csv", "study,study\ns,s", "several columns"),
         ("t.csv", "study,outputs.folder\ns,s", "outputs.folder"),
         ("t.csv", "study,name\ns,a\ns,A", "both called"),

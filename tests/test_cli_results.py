@@ -268,6 +268,7 @@ def test_long_changes_that_end_differently_have_folders_of_their_own(here, run, 
     ("change", "message"),
     [
         ("friction.windw=0.2", "did you mean window"),
+        ("window=0.2", "did you mean volumes.window or friction.window?"),
         ("friction.window=-1", "friction.window = -1"),
         ("friction", "KEY=VALUE"),
         ("friction.window=", "KEY=VALUE"),

@@ -15,15 +15,14 @@ from typing import Any
 
 from optical_palpation.arguments import toml_fault
 from optical_palpation.errors import InputError
+from optical_palpation.study.reading import fault_of_name
 
 #: Values that are paths; they count from the folder of the table.
 _PATHS = frozenset(
     f"{side}.{key}" for side in ("unloaded", "loaded") for key in ("volume", "map", "corrections")
 ) | {"sample.motion", "sample.relief"}
-_TABLES = (
-    *("unloaded", "loaded", "volumes", "layer", "material", "friction"),
-    *("sample", "grid", "errors", "outputs"),
-)
+#: What a table says of a scan besides values of its study.
+_OWN = ("name", "study", "regions")
 _LARGEST = 32 * 1024**2  # bytes of a table
 _MOST = 100_000  # scans
 
@@ -188,9 +187,9 @@ def _from_csv(source: Path, text: str) -> list[Scan]:
             problems.append(f"line {line}: column study is empty")
             continue
         overrides = {
-            key: cell if _is_path(key, cell) else _value(cell)
+            key: cell if key == "title" or _is_path(key, cell) else _value(cell)
             for key, cell in cells.items()
-            if "." in key
+            if key not in _OWN
         }
         scans.append(_scan(source, cells, overrides, len(scans) + 1))
     if problems:
@@ -199,11 +198,10 @@ def _from_csv(source: Path, text: str) -> list[Scan]:
 
 
 def _check_columns(source: Path, header: Sequence[str]) -> None:
-    known = {"name", "study", "regions"}
     for column in header:
-        if column not in known and column.partition(".")[0] not in _TABLES:
+        if fault := "" if column in _OWN else fault_of_name(column):
             raise InputError(
-                f"{source}: column {column!r} is unknown; columns are study, name, regions, and "
+                f"{source}: {column} is unknown ({fault}); a table has study, name, regions, and "
                 "values of a study such as friction.window"
             )
     if "study" not in header:
@@ -244,7 +242,7 @@ def _from_toml(source: Path, text: str) -> tuple[list[Scan], dict[str, Any]]:
     if count > _MOST:
         raise InputError(f"{source}: makes {count:,} scans; more than {_MOST:,} are refused")
     for n, row in enumerate(rows, 1):
-        about = {key: row[key] for key in ("name", "study", "regions") if key in row}
+        about = {key: row[key] for key in _OWN if key in row}
         for key, value in about.items():
             if not isinstance(value, str):
                 raise InputError(f"{source}: scan {n}: {key} = {value!r}: must be text in quotes")

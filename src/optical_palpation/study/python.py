@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 import tempfile
@@ -22,8 +21,8 @@ from optical_palpation.palpation.result import StressResult
 from optical_palpation.stiffness import Sample
 from optical_palpation.study.reading import (
     changed,
-    known_keys,
     make_study,
+    meant_by,
     plain,
     read_study,
     relocated,
@@ -327,11 +326,7 @@ def _check_names(names: Iterable[str], refusal: str) -> None:
     for name in names:
         if name in tables:
             continue
-        meant = difflib.get_close_matches(name, tables, 1)
-        if not meant:
-            keys = {t: known_keys([t], {}) for t in tables if t not in _SIDES}
-            near = difflib.get_close_matches(name, {key for k in keys.values() for key in k}, 1)
-            meant = [f"{table}.{key}" for key in near for table in keys if key in keys[table]]
+        meant = meant_by(name)
         hint = f"did you mean {' or '.join(meant)}?" if meant else f"it takes {', '.join(tables)}"
         raise InputError(f"{refusal} {name!r}; {hint}")
 

@@ -453,9 +453,44 @@ def _unknown(keys: list[str], known: list[str]) -> str:
     where = f"[{'.'.join(keys[:-1])}]" if len(keys) > 1 else "the study"
     if keys[0] in ("unloaded", "loaded") and keys[-1] in ("volume", "map", "thickness"):
         return f"{where} takes a volume or a map{_OR_NUMBER[keys[0]]}, and one of them"
-    near = difflib.get_close_matches(keys[-1], known, 1)
-    meant = f"did you mean {near[0]}?" if near else f"known there are {', '.join(known)}"
+    near = difflib.get_close_matches(keys[-1], known, 1) if len(keys) > 1 else meant_by(keys[0])
+    meant = f"did you mean {' or '.join(near)}?" if near else f"known there are {', '.join(known)}"
     return f"{where} has no such key; {meant}"
+
+
+def meant_by(name: str) -> list[str]:
+    """Return the table whose name comes near, or else the keys of tables, ``friction.window``."""
+    tables = list(Study.model_fields)
+    if near := difflib.get_close_matches(name, tables, 1):
+        return near
+    keys = {table: all_keys([table]) for table in tables}
+    for side in ("unloaded", "loaded"):  # what both have in common stands in [volumes]
+        keys[side] = [key for key in keys[side] if key not in keys["volumes"]]
+    near = difflib.get_close_matches(name, {key for of in keys.values() for key in of}, 1)
+    return [f"{table}.{key}" for key in near for table in tables if key in keys[table]]
+
+
+def fault_of_name(name: str) -> str:
+    """Say why no study has a value of this name, such as ``friction.windw``; "" if one has it."""
+    *tables, key = name.split(".")
+    known = all_keys(tables)
+    if not known:
+        return fault_of_name(".".join(tables)) or f"{'.'.join(tables)} is no table that has keys"
+    if key not in known:
+        return _unknown([*tables, key], known)
+    if not tables and (inner := all_keys([key])):
+        such = [f"{key}.{one}" for one in _ALTERNATIVES.get(key, inner[:2])]
+        return f"{key} is a table; did you mean {' or '.join(such)}?"
+    return ""
+
+
+def all_keys(tables: list[str]) -> list[str]:
+    """Keys that the table at `tables` may hold, whatever kind of input it is."""
+    side = tables[0] if tables else ""
+    if side not in ("unloaded", "loaded"):
+        return known_keys(tables, {})
+    kinds = [known_keys(tables, {side: {kind: None}}) for kind in _ALTERNATIVES[side]]
+    return list(dict.fromkeys(key for keys in kinds for key in keys))
 
 
 def known_keys(keys: list[str], given: Mapping[str, Any]) -> list[str]:
