@@ -449,6 +449,32 @@ def test_points_of_a_sweep_that_fail_on_workers(tmp_path, monkeypatch):
         op.sweep(study, {"friction.window": [0.1]}, workers=1)
 
 
+def test_files_of_a_sweep_count_from_the_folder_of_the_study(tmp_path, monkeypatch):
+    make_scans(tmp_path, 2)
+    study = op.Study.read(tmp_path / "study.toml")
+    in_memory = op.Study(**study.given | {"loaded": {"map": "0.npz"}}, folder=tmp_path)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    maps = ["0.npz", "1.npz"]
+    asked = []
+
+    def failing(batch, **_):
+        asked.extend(read_study(s.study, s.overrides).loaded.map for s in batch.scans)
+        return BatchResult(
+            batch.folder, tuple(Outcome(s.name, "failed", "", "x") for s in batch.scans), ()
+        )
+
+    monkeypatch.setattr(sweeping, "run_batch", failing)
+    for base in study, in_memory:
+        here = [base.with_({"loaded.map": name}).given["loaded"]["map"] for name in maps]
+        assert here == [str(tmp_path / name) for name in maps]
+        for folder in (None, tmp_path / "swept"):
+            with pytest.raises(OpticalPalpationError):
+                op.sweep(base, {"loaded.map": maps}, workers=1, folder=folder)
+            assert asked == here
+            asked.clear()
+
+
 @pytest.mark.slow
 def test_client_that_is_killed_or_interrupted_goes_on_later(tmp_path, reference):
     make_scans(tmp_path, 4)

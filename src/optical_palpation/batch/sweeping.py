@@ -50,6 +50,7 @@ def sweep(
         The study to vary.
     parameters
         Values by table and key: ``{"friction.window": [0.1, 0.2], "material.c10": [2.0, 2.5]}``.
+        Names of files count from the folder of the study, if it was read from a file.
     workers
         Number of workers on this machine that compute points side by side (Dask, the extra
         ``batch``); with `folder` alone, as many as cores and memory allow. By default points are
@@ -101,7 +102,10 @@ def sweep(
     if workers is None and scheduler is None and folder is None:
         solved = _one_after_another(studies, progress)
     else:
-        solved = _on_workers(study, points, workers, scheduler, folder, progress)
+        chosen = [
+            {name: _value_of(variant, name) for name in values} for variant in studies
+        ]  # as the study has them: names of files complete
+        solved = _on_workers(study, chosen, workers, scheduler, folder, progress)
     found: list[xr.Dataset | None] = []
     failures: list[str] = []
     base: xr.Dataset | None = None
@@ -113,6 +117,14 @@ def sweep(
     if base is None:
         raise ConvergenceError(f"no point has a solution; the first: {failures[0]}")
     return _gathered(values, found, failures, base)
+
+
+def _value_of(study: Study, name: str) -> Any:
+    """The value of a study by table and key; None if it says nothing of it."""
+    found: Any = study.given
+    for key in name.split("."):
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found
 
 
 def _one_after_another(

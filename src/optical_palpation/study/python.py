@@ -69,7 +69,7 @@ class Study:
         ``title``. As ``sample`` a :class:`~optical_palpation.stiffness.Sample`, too, which puts it
         into the model.
     folder
-        Folder from which file names count.
+        Folder from which file names count; the working directory by default.
 
     Raises
     ------
@@ -107,7 +107,7 @@ class Study:
         folder: Path,
         file: Path | None = None,
     ) -> None:
-        self._workspace = workspace
+        self._workspace, self._folder = workspace, folder.resolve()
         self._given = {
             name: _table(name, value, workspace, folder) for name, value in given.items()
         }
@@ -136,6 +136,9 @@ class Study:
     def with_(self, changes: Mapping[str, Any] | None = None, **tables: Any) -> Study:
         """Return a study that differs from this one.
 
+        Names of files count from where those of this study do: the folder of its file, if it has
+        one.
+
         Parameters
         ----------
         changes
@@ -163,7 +166,7 @@ class Study:
         given = changed(given, {**inner, **(changes or {})})
         _check_names(given, "study: there is no table")
         study = type(self).__new__(type(self))
-        study._begin(self._workspace, given, Path("."))
+        study._begin(self._workspace, given, self._folder)
         return study
 
     def __repr__(self) -> str:
@@ -189,6 +192,11 @@ class Study:
     def parameters(self) -> dict[str, Any]:
         """All parameters with their defaults, by table."""
         return self._checked.model_dump(mode="json", exclude_none=True)
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """What was given, by table, without defaults; names of files are complete."""
+        return dict(self._given)
 
     @explained
     def run(self, progress: Tell | None = None) -> StressResult:
