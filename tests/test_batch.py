@@ -21,8 +21,13 @@ from optical_palpation.analysis import Noise
 from optical_palpation.batch import Batch, BatchResult, read_batch, run_batch, sweeping, worker_map
 from optical_palpation.batch.cluster import About, threads_of
 from optical_palpation.batch.dispatch import LOSSES, Dispatcher, Outcome
-from optical_palpation.batch.scan import predicted_need
-from optical_palpation.errors import ConvergenceError, InputError, OpticalPalpationError
+from optical_palpation.batch.scan import predicted_need, run_scan
+from optical_palpation.errors import (
+    ConvergenceError,
+    InputError,
+    OpticalPalpationError,
+    OutputError,
+)
 from optical_palpation.friction import calibration_curves
 from optical_palpation.present import read_result
 from optical_palpation.study import read_study, run_study
@@ -447,6 +452,28 @@ def test_points_of_a_sweep_that_fail_on_workers(tmp_path, monkeypatch):
     error = "InputError"
     with pytest.raises(InputError, match=r"friction.window.*0\.1.*no luck"):
         op.sweep(study, {"friction.window": [0.1]}, workers=1)
+
+
+def here(batch, **_):
+    """Run a batch in this process, which takes no workers."""
+    alike = {scan.name: [] for scan in batch.scans}
+    done = [run_scan(batch.folder, alike, scan, 1, lambda _: None) for scan in batch.scans]
+    return BatchResult(batch.folder, tuple(done), ())
+
+
+def test_point_of_a_sweep_that_is_refused_does_not_lose_the_others(tmp_path, monkeypatch):
+    make_scans(tmp_path, 1)
+    (tmp_path / "study.toml").write_text(STUDY + NO_ESTIMATES)
+    study = op.Study.read(tmp_path / "study.toml")
+    monkeypatch.setattr(sweeping, "run_batch", here)
+    values = {"unloaded.thickness": [0.5, 0.3]}  # the second is thinner than the loaded layer
+    for how in ({}, {"workers": 1}):
+        found = op.sweep(study, values, **how)
+        assert list(np.isfinite(found["window_force"].values)) == [True, False]
+        assert str(found["failure"][0].values) == ""
+        assert "nothing is pressed" in str(found["failure"][1].values)
+    with pytest.raises(OutputError, match="x: the folder cannot be made"):
+        op.sweep(study, values, folder="/proc/x")
 
 
 def test_files_of_a_sweep_count_from_the_folder_of_the_study(tmp_path, monkeypatch):

@@ -491,12 +491,13 @@ def test_points_of_a_sweep_on_other_elements_have_values_up_to_the_border():
         assert (gaps == beyond).all()
 
 
-def test_a_point_without_a_solution_does_not_lose_the_others(monkeypatch, result):
+@pytest.mark.parametrize("kind", [ConvergenceError, InputError])
+def test_a_point_without_a_solution_does_not_lose_the_others(monkeypatch, result, kind):
     solve = python.run_study
 
     def sometimes(asked, **options):
         if asked.friction.window > 0.2:
-            raise ConvergenceError("loaded to 80 % only")
+            raise kind("loaded to 80 % only")
         return solve(asked, **options)
 
     monkeypatch.setattr(python, "run_study", sometimes)
@@ -506,7 +507,7 @@ def test_a_point_without_a_solution_does_not_lose_the_others(monkeypatch, result
     assert "80 %" in str(found["failure"].sel(friction_window=0.3).values)
     np.testing.assert_array_equal(found["axial_stress"][0], result.maps["axial_stress"])
     assert told[0].stage.startswith("1 of 2: ")
-    with pytest.raises(ConvergenceError, match="no point"):
+    with pytest.raises(kind, match="no point"):
         op.sweep(study(), {"friction.window": [0.3]})
 
 

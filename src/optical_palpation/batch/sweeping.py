@@ -17,6 +17,7 @@ from optical_palpation.arguments import check_instance, explained
 from optical_palpation.batch.dispatch import BatchProgress
 from optical_palpation.batch.reading import Batch, Scan
 from optical_palpation.batch.run import run_batch
+from optical_palpation.batch.table import check_folder
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present import read_result
@@ -28,6 +29,8 @@ from optical_palpation.study.stages import STRESS
 
 Tell = Callable[[Any], None]
 Point = Mapping[str, Any]
+#: The maps of a point, or why it has none.
+Solved = xr.Dataset | InputError | ConvergenceError
 
 
 @explained
@@ -70,16 +73,19 @@ def sweep(
         The maps of the result with the parameters as further dimensions, named with ``_`` for the
         dot, ``friction_window``; over these alone ``window_force`` and ``sample_force`` (mN),
         ``force_error`` (mN) where errors were estimated, ``warnings``, what casts doubt on a point,
-        and ``failure``, empty, or why it has no solution: its maps have no value. Where the element
-        size is one of the parameters, maps are interpolated to the points of the first.
+        and ``failure``, empty, or why it has no solution: it was refused, or not found; its maps
+        have no value. Where the element size is one of the parameters, maps are interpolated to
+        the points of the first.
 
     Raises
     ------
     InputError
-        If a parameter or value cannot be used, before anything is computed; or if an input, or the
-        scheduler, cannot.
+        If a parameter or value cannot be used, before anything is computed; if the scheduler
+        cannot; or if no point has a solution and the first was refused.
     ConvergenceError
-        If no point has a solution.
+        If no point has a solution and that of the first was not found.
+    OutputError
+        If `folder` cannot be made or written.
     """
     check_instance(study, Study, "study", "an optical_palpation.Study")
     kind = "a mapping of table and key to values, {'friction.window': [0.1, 0.2]}"
@@ -106,16 +112,14 @@ def sweep(
             {name: _value_of(variant, name) for name in values} for variant in studies
         ]  # as the study has them: names of files complete
         solved = _on_workers(study, chosen, workers, scheduler, folder, progress)
-    found: list[xr.Dataset | None] = []
-    failures: list[str] = []
-    base: xr.Dataset | None = None
-    for maps, failure in solved:
-        failures.append(failure)
-        if base is None:
-            base = maps
-        found.append(None if maps is None or base is None else _on(maps, base))
+    base = next((maps for maps in solved if isinstance(maps, xr.Dataset)), None)
     if base is None:
-        raise ConvergenceError(f"no point has a solution; the first: {failures[0]}")
+        first = solved[0]
+        assert isinstance(first, InputError | ConvergenceError)
+        which = "" if isinstance(first, ConvergenceError) else f", {points[0]}"
+        raise type(first)(f"no point has a solution; the first{which}: {first}")
+    found = [_on(maps, base) if isinstance(maps, xr.Dataset) else None for maps in solved]
+    failures = ["" if isinstance(point, xr.Dataset) else str(point) for point in solved]
     return _gathered(values, found, failures, base)
 
 
@@ -127,11 +131,9 @@ def _value_of(study: Study, name: str) -> Any:
     return found
 
 
-def _one_after_another(
-    studies: Sequence[Study], progress: Tell | None
-) -> list[tuple[xr.Dataset | None, str]]:
+def _one_after_another(studies: Sequence[Study], progress: Tell | None) -> list[Solved]:
     """Return the maps of each study, or why there are none."""
-    solved: list[tuple[xr.Dataset | None, str]] = []
+    solved: list[Solved] = []
     for count, variant in enumerate(studies, 1):
 
         def tell(report: Any, count: int = count) -> None:
@@ -141,9 +143,9 @@ def _one_after_another(
                 progress(Progress(stage, report.load, newton, message))
 
         try:
-            solved.append((variant.run(tell).maps, ""))
-        except ConvergenceError as error:
-            solved.append((None, str(error)))
+            solved.append(variant.run(tell).maps)
+        except (InputError, ConvergenceError) as error:
+            solved.append(error)
     return solved
 
 
@@ -154,7 +156,7 @@ def _on_workers(
     scheduler: str | None,
     folder: str | os.PathLike[str] | None,
     progress: Tell | None,
-) -> list[tuple[xr.Dataset | None, str]]:
+) -> list[Solved]:
     """Return the same from a batch of the points."""
 
     def tell(report: BatchProgress) -> None:
@@ -165,20 +167,20 @@ def _on_workers(
 
     with tempfile.TemporaryDirectory(prefix="optical-palpation-") as temporary:
         place = Path(temporary if folder is None else folder).resolve()
-        place.mkdir(parents=True, exist_ok=True)
+        check_folder(place)
         file = place / "study.toml"
         study.with_({"outputs.write": []}).save(file)
         scans = tuple(Scan(f"point-{n:04d}", file, point) for n, point in enumerate(points))
         batch = Batch(file, scans, place / "points")
         done = run_batch(batch, scheduler=scheduler, workers=workers, progress=tell)
-        solved: list[tuple[xr.Dataset | None, str]] = []
+        solved: list[Solved] = []
         for outcome in done.outcomes:
             if outcome.status != "failed":
-                solved.append((read_result(batch.folder / outcome.name / STRESS).maps, ""))
+                solved.append(read_result(batch.folder / outcome.name / STRESS).maps)
             elif outcome.error == ConvergenceError.__name__:
-                solved.append((None, outcome.message))
+                solved.append(ConvergenceError(outcome.message))
             else:
-                raise InputError(f"{dict(points[len(solved)])}: {outcome.message}")
+                solved.append(InputError(outcome.message))
     return solved
 
 
