@@ -91,6 +91,26 @@ def test_csv(tmp_path):
     assert batch.scans[1].overrides == {"sample.motion": "../m.nc"}
 
 
+def test_files_of_a_sample_count_from_the_folder_of_the_table(tmp_path):
+    (tmp_path / "t.toml").write_text(
+        """
+        study = "deep/study.toml"
+        [overrides]
+        sample.earlier = [{ map = "1.npz", compression = 0.1 }]
+        [sweep]
+        sample.relief = ["flat", "relief.nc"]
+        """
+    )
+    one, other = (scan.overrides for scan in read_batch(tmp_path / "t.toml").scans)
+    assert one["sample.earlier"] == [{"map": "../1.npz", "compression": 0.1}]
+    assert (one["sample.relief"], other["sample.relief"]) == ("flat", "../relief.nc")
+    rows = ["deep/study.toml,flat,\"[{ map = '1.npz', compression = 0.1 }]\"", "study.toml,r.nc,3"]
+    (tmp_path / "t.csv").write_text("\n".join(["study,sample.relief,sample.earlier", *rows]))
+    first, second = read_batch(tmp_path / "t.csv").scans
+    assert first.overrides == {k: one[k] for k in ("sample.relief", "sample.earlier")}
+    assert second.overrides == {"sample.relief": "r.nc", "sample.earlier": 3}  # for the study
+
+
 def test_keys_of_every_kind_of_input_are_columns(tmp_path):
     path = tmp_path / "t.csv"
     columns = "title,loaded.field_of_view,unloaded.thickness,volumes.spacing.z,sample.law"

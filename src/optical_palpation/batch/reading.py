@@ -15,12 +15,12 @@ from typing import Any
 
 from optical_palpation.arguments import toml_fault
 from optical_palpation.errors import InputError
-from optical_palpation.study.reading import fault_of_name
+from optical_palpation.study.reading import fault_of_name, relocated
 
-#: Values that are paths; they count from the folder of the table.
+#: Values that are paths, besides those of a sample; they count from the folder of the table.
 _PATHS = frozenset(
     f"{side}.{key}" for side in ("unloaded", "loaded") for key in ("volume", "map", "corrections")
-) | {"sample.motion", "sample.relief"}
+)
 #: What a table says of a scan besides values of its study.
 _OWN = ("name", "study", "regions")
 _LARGEST = 32 * 1024**2  # bytes of a table
@@ -279,15 +279,25 @@ def _scan(
     source: Path, about: Mapping[str, str], overrides: Mapping[str, Any], number: int
 ) -> Scan:
     study = source.parent / about["study"]
-    moved = {}
-    for key, value in overrides.items():
-        if key in _PATHS and isinstance(value, str):
-            path = source.parent / value
-            try:
-                value = os.path.relpath(path, study.parent)
-            except ValueError:  # another drive
-                value = str(path.resolve())
-        moved[key] = value
+
+    def seen_from_study(name: str) -> str:
+        path = source.parent / name
+        try:
+            return os.path.relpath(path, study.parent)
+        except ValueError:  # another drive
+            return str(path.resolve())
+
+    moved = {
+        key: seen_from_study(value) if key in _PATHS and isinstance(value, str) else value
+        for key, value in overrides.items()
+    }
+    sample = {
+        key.removeprefix("sample."): value
+        for key, value in overrides.items()
+        if key.startswith("sample.")
+    }
+    files = relocated(sample, lambda _, name: seen_from_study(name))
+    moved |= {f"sample.{key}": value for key, value in files.items()}
     regions = source.parent / about["regions"] if "regions" in about else None
     if "name" in about:
         name = _file_name(about["name"])
@@ -308,7 +318,9 @@ def _value(cell: str) -> Any:
 
 def _is_path(key: str, cell: str) -> bool:
     """Whether a cell is a path; the motion of the sample may be a number instead."""
-    return key in _PATHS and not (key == "sample.motion" and isinstance(_value(cell), int | float))
+    if key == "sample.motion":
+        return not isinstance(_value(cell), int | float)
+    return key in _PATHS or key == "sample.relief"
 
 
 def _short(value: Any, among: Sequence[Any]) -> str:

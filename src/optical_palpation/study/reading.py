@@ -174,9 +174,12 @@ def relocated(sample: Mapping[str, Any], name: Callable[[str, str], str]) -> dic
         of = whole.get(key)
         if isinstance(of, str | os.PathLike) and not (key == "relief" and of == "flat"):
             whole[key] = name(key, str(of))
-    if loads := whole.get("earlier"):
+    loads = whole.get("earlier")
+    if isinstance(loads, list | tuple):
         whole["earlier"] = [
-            {**load, "map": name(f"earlier-{n}", str(load["map"]))} if "map" in load else load
+            {**load, "map": name(f"earlier-{n}", str(load["map"]))}
+            if isinstance(load, Mapping) and isinstance(load.get("map"), str | os.PathLike)
+            else load
             for n, load in enumerate(loads, start=1)
         ]
     return whole
