@@ -88,6 +88,27 @@ def test_profile_end_to_end(here, made, run):
     assert f"friction at the window: {record['friction']:.3f}" in out
 
 
+def test_depth_has_the_unit_of_its_column(here, made, run):
+    expected = json.loads((made / "mu.json").read_text())["friction"]
+    depth, displacement = np.loadtxt("profile.csv", delimiter=",", skiprows=1).T
+    given = PRELOAD[:2]
+    for name, factor, options in (
+        ("depth_um", 1e3, given),
+        ("depth_um", 1e3, []),  # the calibration tells the thickness
+        ("depth", 1.0, given),
+        ("depth_fraction", 1 / 0.42, given),
+        ("depth", 1 / 0.42, []),  # beyond 0.42 it can be no length
+    ):
+        table = np.column_stack([factor * depth, displacement])
+        header = f"{name},displacement_nm"
+        np.savetxt("other.csv", table, delimiter=",", header=header, comments="")
+        curves = ["--calibration", made / "curves.nc"]
+        status, _, err = run("friction", "other.csv", *curves, *options, "--output", "other.json")
+        assert (status, err) == (0, "")
+        found = json.loads((here / "other.json").read_text())["friction"]
+        assert found == pytest.approx(expected, rel=1e-6)
+
+
 def test_volumes_end_to_end(here, made, run):
     measurement = ["before.npy", "after.npy", *VOLUMES, *FACES, *OPTICS]
     curves = ["--calibration", made / "curves.nc", "--region", 1.6]
@@ -147,6 +168,7 @@ CURVES = ["--calibration", "CURVES"]
         (["profile.csv", "--depth-in-mm", *PRELOAD, "--calibration", "absent.nc"], "absent.nc"),
         (["profile.csv", "--calibration", "profile.csv"], "profile.csv"),
         (["profile.csv", *CURVES, "--depth-in-mm", "--loaded-thickness", 0.3], "depth runs"),
+        (["nameless.csv", *CURVES], "depth_mm or depth_fraction"),
         (["profile.csv", *CURVES, "--depth-in-mm", *PRELOAD[:3], 0.8], "region of 1.6"),
         (["before.npy", "profile.csv", *VOLUMES, *FACES, *OPTICS, *CURVES], "profile.csv"),
         (["before.npy", "short.npy", *VOLUMES, *FACES, *OPTICS, *CURVES], "alike"),
@@ -164,6 +186,8 @@ CURVES = ["--calibration", "CURVES"]
 def test_bad_input_is_named_and_nothing_written(here, made, run, arguments, message):
     np.save("short.npy", np.load("before.npy")[:100])
     np.save("real.npy", np.abs(np.load("before.npy")))
+    text = (here / "profile.csv").read_text()
+    (here / "nameless.csv").write_text(text.replace("depth_mm", "depth"))
     arguments = [str(made / "curves.nc") if a == "CURVES" else a for a in arguments]
     outputs = [] if {"--output", "--plot"} & set(arguments) else ["--output", "o.json"]
     before = {path.name: path.read_bytes() for path in here.iterdir()}

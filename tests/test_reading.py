@@ -404,12 +404,26 @@ def test_profile_whose_depth_has_a_unit(tmp_path):
     path = table(tmp_path / "p.csv", "depth_mm,displacement_nm", depth, depth)
     with pytest.raises(InputError, match="the depth is in mm"):
         read_profile(path)
+    np.testing.assert_allclose(read_profile(path, calibrated=0.5).depth, depth / 0.5)
+    np.testing.assert_allclose(read_profile(path, 0.4, calibrated=0.5).depth, depth / 0.4)
     path = table(tmp_path / "p.csv", "depth,displacement_nm,error_um", depth, depth, depth)
     with pytest.raises(InputError, match="give both in one unit"):
         read_profile(path)
     path = table(tmp_path / "p.csv", "depth_px,depth,displacement", depth, depth, depth)
     with pytest.raises(InputError, match="several columns"):
         read_profile(path)
+
+
+def test_profile_whose_depth_has_no_unit(tmp_path):
+    depth = np.linspace(0.0, 0.4, 9)
+    path = table(tmp_path / "p.csv", "depth,displacement", depth, depth)
+    np.testing.assert_allclose(read_profile(path).depth, depth)
+    np.testing.assert_allclose(read_profile(path, thickness=0.5).depth, depth / 0.5)
+    with pytest.raises(InputError, match="depth_mm or depth_fraction"):  # in a layer of 0.42 mm
+        read_profile(path, calibrated=0.42)
+    np.testing.assert_allclose(read_profile(path, calibrated=0.3).depth, depth)
+    path = table(tmp_path / "p.csv", "depth_fraction,displacement", depth, depth)
+    np.testing.assert_allclose(read_profile(path, thickness=0.5, calibrated=0.5).depth, depth)
 
 
 @pytest.mark.parametrize(

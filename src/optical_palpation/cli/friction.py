@@ -127,7 +127,11 @@ def friction(
     ] = 6,
     depth_in_mm: Annotated[
         bool,
-        typer.Option("--depth-in-mm", help="Depths of the profile are mm, not fractions."),
+        typer.Option(
+            "--depth-in-mm",
+            help="Depths of the profile are mm; without a unit they are so wherever "
+            "--loaded-thickness is given.",
+        ),
     ] = False,
     fit_offset: Annotated[
         bool, typer.Option("--fit-offset", help="The displacement at the window is unknown too.")
@@ -291,7 +295,10 @@ def friction(
     present.check_outputs(wanted, [*files, calibration] if calibration else files)
     profile = None
     if len(files) == 1:
-        profile = library.read_profile(files[0], loaded_thickness if depth_in_mm else None)
+        made_for = None
+        if calibration:
+            made_for = library.read_calibration(calibration).attrs.get("loaded_thickness_mm")
+        profile = library.read_profile(files[0], loaded_thickness, calibrated=made_for)
     elif files:
         before, after, spacing_z, region = library.read_pair(
             files[0],

@@ -141,20 +141,25 @@ def estimate_friction(
     )
 
 
-def read_profile(path: str | Path, thickness: float | None = None) -> xr.Dataset:
+def read_profile(
+    path: str | Path, thickness: float | None = None, *, calibrated: float | None = None
+) -> xr.Dataset:
     """Read a displacement profile from a CSV of depth, displacement and, if known, its error.
 
     Columns are found by name: *depth*, *displacement*, *error* (or *std*, *sd*). Depth is a
-    fraction of the loaded layer from the window, or a length if `thickness` is given: mm, unless
-    the name says another unit (*depth_um*). Displacements may have any unit; errors must have the
-    same.
+    length from the window if its name has a unit (*depth_um*), the fraction of the loaded layer if
+    it says so (*depth_fraction*); else mm if `thickness` is given, and a fraction if it is not.
+    Displacements may have any unit; errors must have the same.
 
     Parameters
     ----------
     path
         The file.
     thickness
-        Loaded thickness of the layer in mm, if depth is in mm.
+        Loaded thickness of the layer, mm.
+    calibrated
+        That of the calibration curves, mm, which stands in for `thickness` where the depth has a
+        unit. A depth that has none and could be either, mm or a fraction, is refused.
 
     Raises
     ------
@@ -168,6 +173,7 @@ def read_profile(path: str | Path, thickness: float | None = None) -> xr.Dataset
     free = list(table.names)
     columns: dict[str, Array] = {}
     units: dict[str, str | None] = {}
+    fraction = False
     for key, hints in (
         ("depth", ("depth",)),
         ("standard_error", ("error", "std", "sd")),
@@ -185,28 +191,35 @@ def read_profile(path: str | Path, thickness: float | None = None) -> xr.Dataset
         free.remove(found[0])
         columns[key] = table.numbers(found[0])
         units[key] = split_unit(found[0])[1]
+        fraction |= key == "depth" and "fraction" in found[0].lower()
     if units.get("standard_error", units["displacement"]) != units["displacement"]:
         raise InputError(
             f"{path}: the displacement is in {units['displacement']}, its error in "
             f"{units['standard_error']}; give both in one unit"
         )
+    depth = columns.pop("depth")
+    largest = depth.max(initial=0.0)
     if units["depth"] is not None:
-        if thickness is None:
+        whole = thickness or calibrated
+        if whole is None:
             raise InputError(
                 f"{path}: the depth is in {units['depth']}; give the loaded thickness, or the "
                 "depth as a fraction of it"
             )
-        columns["depth"] = columns["depth"] * MM[units["depth"]]
-    if thickness is not None:
-        columns["depth"] = columns["depth"] / thickness
-    if columns["depth"].size and (
-        columns["depth"].min() < -1e-9 or columns["depth"].max() > 1.0 + 1e-9
-    ):
+        depth = depth * MM[units["depth"]] / whole
+    elif thickness is not None and not fraction:
+        depth = depth / thickness
+    elif calibrated is not None and not fraction and largest <= calibrated:
         raise InputError(
-            f"{path}: depth runs from {columns['depth'].min():g} to {columns['depth'].max():g} of "
-            "the layer, but must lie within 0 and 1; give the loaded thickness if it is in mm"
+            f"{path}: the depth has no unit, and could be mm or a fraction of the layer; call the "
+            "column depth_mm or depth_fraction"
         )
-    depth = columns.pop("depth")
+    if depth.size and (depth.min() < -1e-9 or depth.max() > 1.0 + 1e-9):
+        raise InputError(
+            f"{path}: depth runs from {depth.min():g} to {depth.max():g} of the layer, but must "
+            "lie within 0 and 1; without a unit it is mm if the loaded thickness is given, and a "
+            "fraction if it is not or the column is called depth_fraction"
+        )
     return xr.Dataset({k: ("depth", v) for k, v in columns.items()}, coords={"depth": depth})
 
 
