@@ -119,7 +119,15 @@ def test_volumes_end_to_end(here, made, run):
     record = json.loads((here / "mu.json").read_text())
     assert record["friction"] == pytest.approx(0.15, abs=0.03)
     assert record["step"] == pytest.approx(-5e-4, rel=0.02)
+    assert record["units"]["step"] == "mm"
+    assert record["doubts"] == []
     assert "95 %" in out
+    assert "um at the sample; that of the calibration is -0.5 um" in out
+    assert "WARNING" not in out
+    swapped = ["after.npy", "before.npy", *VOLUMES, *FACES, *OPTICS]
+    status, out, _ = run("friction", *swapped, *curves)
+    assert status == 0
+    assert "WARNING: the layer moves away from the window" in out
     # An optical path is divided by the index: the faces of the layer move with it.
     optical = [str(v) if v != 0.004 else "0.0056" for v in VOLUMES]
     status, _, _ = run(

@@ -10,6 +10,7 @@ from optical_palpation.friction import (
     axial_strain,
     calibration_curves,
     displacement_profile,
+    doubts_about,
     estimate_friction,
     read_profile,
     slab_profile,
@@ -149,6 +150,7 @@ def test_unusable_volumes_are_refused():
         ((before, after[1:]), FACES, "shapes"),
         ((before * np.nan, after), FACES, "finite"),
         ((0.0 * before, after), FACES, "there is no signal"),
+        ((before, before.copy()), FACES, "are the same"),
         ((before, after), {"window_depth": 0.5, "sample_depth": 0.1}, "in this order"),
         ((before, after), {"window_depth": 0.1, "sample_depth": 9.0}, "inside the volume"),
         ((before, after), {"window_depth": 0.1, "sample_depth": 0.13}, "at least 8"),
@@ -156,8 +158,9 @@ def test_unusable_volumes_are_refused():
     for volumes, faces, message in cases:
         with pytest.raises(InputError, match=message):
             displacement_profile(*volumes, **arguments, **faces)
-    with pytest.raises(InputError, match="wavelength"):
-        axial_strain(before, after, spacing=0.004, wavelength=-1.0, refractive_index=1.4)
+    for wavelength in (-1.0, 1300.0, 1.3, np.nan):
+        with pytest.raises(InputError, match="wavelength"):
+            axial_strain(before, after, spacing=0.004, wavelength=wavelength, refractive_index=1.4)
     with pytest.raises(InputError, match="4 pixels"):
         axial_strain(before[:3], after[:3], **arguments)
 
@@ -269,6 +272,40 @@ def test_unusable_profiles_and_calibrations_are_refused():
     ]:
         with pytest.raises(InputError, match=message):
             estimate_friction(good, calibration)
+
+
+@pytest.mark.parametrize("fit_offset", [False, True])
+def test_what_no_friction_gives_is_refused(fit_offset):
+    good = profile_of(0.2, 0.002)
+    noise = np.random.default_rng(0).standard_normal((20, good["depth"].size))
+    cases = [good.assign(displacement=("depth", row)) for row in noise]
+    cases.append(good.assign(displacement=("depth", 1.0 + 0.01 * noise[0])))
+    if not fit_offset:
+        cases.append(good.assign_coords(depth=1.0 - good["depth"]))
+    for profile in cases:
+        with pytest.raises(InputError, match=r"no displacement|from every calibration curve by"):
+            estimate_friction(
+                profile.drop_vars("standard_error"), CALIBRATION, fit_offset=fit_offset
+            )
+
+
+def test_what_casts_doubt_on_an_estimate():
+    calibration = CALIBRATION.assign_attrs(step_mm=5e-4)
+
+    def doubts(profile, **attrs):
+        profile["displacement"].attrs |= attrs
+        return doubts_about(estimate_friction(profile, calibration), calibration)
+
+    assert doubts(profile_of(0.2), units="mm") == []
+    assert doubts(profile_of(0.2, step=-7.0)) == []  # in which unit, nobody knows
+    (size,) = doubts(profile_of(0.2), units="um")
+    assert "step of 0.0007 um is not that of the calibration, 0.5 um" in size
+    (sign,) = doubts(profile_of(0.2, step=7e-4), units="mm")
+    assert "volumes in their order" in sign
+    bent = profile_of(0.2)
+    bent["displacement"] += 1.5e-4 * np.sin(20.0 * bent["depth"])
+    (misfit,) = doubts(bent, units="mm")
+    assert "% of the step" in misfit
 
 
 def test_figure(tmp_path):

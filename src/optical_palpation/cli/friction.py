@@ -360,19 +360,23 @@ def friction(
                 on_curve=lambda mu: say(f"friction {mu:g} done"),
                 each=each,
             )
-    estimate = None
+    estimate, doubts = None, []
     if profile is not None:
         estimate = library.estimate_friction(profile, curves, fit_offset=fit_offset)
+        doubts = library.doubts_about(estimate, curves)
     if save_calibration:
         library.write_calibration(curves, save_calibration)
     if plot:
         write_friction_figure(curves, plot, estimate)
     if output and estimate:
-        write_friction(estimate, output, measurement=[path.name for path in files], **curves.attrs)
+        named = [path.name for path in files]
+        write_friction(estimate, output, measurement=named, doubts=doubts, **curves.attrs)
     if quiet:
         return
     if estimate:
         print(_describe(estimate, curves))
+        for doubt in doubts:
+            print(f"WARNING: {doubt}")
     print_files(wanted)
 
 
@@ -390,7 +394,10 @@ def _describe(estimate: FrictionEstimate, curves: xr.DataArray) -> str:
     lines = [
         f"friction at the window: {estimate.coefficient:.3f} (95 %: {low:.3f} to {high:.3f})",
         f"profile and fitted curve differ by {estimate.residual:.2%} of the step (rms)",
+        f"step: {_step(estimate)} at the sample",
     ]
+    if (expected := curves.attrs.get("step_mm")) is not None:
+        lines[-1] += f"; that of the calibration is {-1e3 * expected:.3g} um"
     if estimate.at_limit:
         mu = curves["friction"].values
         lines.append(
@@ -398,6 +405,14 @@ def _describe(estimate: FrictionEstimate, curves: xr.DataArray) -> str:
             "coefficient is a bound (--coefficients widens the range)"
         )
     return "\n".join(lines)
+
+
+def _step(estimate: FrictionEstimate) -> str:
+    from optical_palpation.volume.units import MM
+
+    if estimate.unit is None:
+        return f"{estimate.step:.3g} in the unit of the profile"
+    return f"{1e3 * MM[estimate.unit] * estimate.step:.3g} um"
 
 
 def _is_typed(context: typer.Context, name: str) -> bool:

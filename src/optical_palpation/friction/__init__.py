@@ -6,7 +6,12 @@ from optical_palpation.friction.calibration import (
     slab_profile,
     write_calibration,
 )
-from optical_palpation.friction.estimate import FrictionEstimate, estimate_friction, read_profile
+from optical_palpation.friction.estimate import (
+    FrictionEstimate,
+    doubts_about,
+    estimate_friction,
+    read_profile,
+)
 from optical_palpation.friction.phase import axial_strain, displacement_profile
 from optical_palpation.friction.volumes import read_pair
 
@@ -15,6 +20,7 @@ __all__ = [
     "axial_strain",
     "calibration_curves",
     "displacement_profile",
+    "doubts_about",
     "estimate_friction",
     "read_calibration",
     "read_pair",

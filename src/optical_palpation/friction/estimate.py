@@ -16,9 +16,15 @@ from optical_palpation.arguments import file_path, number
 from optical_palpation.errors import InputError
 from optical_palpation.regression import independent_points
 from optical_palpation.volume.text import read_columns
-from optical_palpation.volume.units import MM, split_unit
+from optical_palpation.volume.units import MM, length_unit, split_unit
 
 Array = NDArray[np.float64]
+
+# Even strain and full sticking differ by 7 % of the step (rms), so that no friction bends a profile
+# by more.
+_DOUBTFUL, _IMPOSSIBLE = 0.1, 0.25
+#: How much larger or smaller than that of the calibration a step may be.
+_STEPS_ALIKE = 3.0
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,8 @@ class FrictionEstimate:
         Displacement at the window, in the profile's unit; 0 unless it was fitted.
     residual
         Root mean square misfit relative to `step`.
+    unit
+        Unit of length of the profile, a key of ``volume.units.MM``, or None if it does not say.
     profile
         Over ``depth``: ``measured`` and ``fitted`` displacement and, if it was given,
         ``standard_error``, all relative to the step.
@@ -51,6 +59,7 @@ class FrictionEstimate:
     step: float
     offset: float
     residual: float
+    unit: str | None
     profile: xr.Dataset
 
 
@@ -79,7 +88,8 @@ def estimate_friction(
     Raises
     ------
     InputError
-        If profile and calibration are unusable or do not overlap.
+        If profile and calibration are unusable or do not overlap; if the step is not different from
+        zero, or the profile farther from all curves than friction can bend it.
     """
     friction, curves = _curves(calibration)
     depth, measured, error = _points(profile)
@@ -102,6 +112,17 @@ def estimate_friction(
     )
     mu = float(best.x) if best.fun < misfit[k] else float(grid[k])
     smallest, coefficients, residual = fit(mu)
+    step = float(coefficients[0])
+    offset = float(coefficients[1]) if fit_offset else 0.0
+    design = np.column_stack([shape(mu), np.ones_like(depth)])[:, : 1 + fit_offset]
+    freedom = depth.size - design.shape[1]
+    weighted = design / error[:, None]
+    spread = np.sqrt(smallest / freedom * np.linalg.inv(weighted.T @ weighted)[0, 0])
+    if not abs(step) > float(student_t.ppf(0.975, freedom)) * spread:
+        raise InputError(
+            f"the profile shows no displacement: the step of {step:.2g} is not different from zero "
+            f"(standard error {spread:.2g}); was there a step?"
+        )
 
     parameters = 2 + fit_offset
     independent = independent_points(residual, parameters)
@@ -112,10 +133,6 @@ def estimate_friction(
     def excess(value: float) -> float:
         return fit(value)[0] - threshold
 
-    step = float(coefficients[0])
-    if not step > 0.0 and not step < 0.0:
-        raise InputError("the profile shows no displacement at all; was there a step?")
-    offset = float(coefficients[1]) if fit_offset else 0.0
     relative = xr.Dataset(
         {
             "measured": ("depth", (measured - offset) / step),
@@ -127,6 +144,14 @@ def estimate_friction(
         },
         coords={"depth": depth},
     )
+    misfit_of_step = float(np.sqrt(np.mean((relative["measured"] - relative["fitted"]) ** 2)))
+    if misfit_of_step > _IMPOSSIBLE:
+        raise InputError(
+            f"the profile differs from every calibration curve by {misfit_of_step:.0%} of the step "
+            "(rms) or more, and friction bends a profile by less than a tenth of it; depth counts "
+            "from the window, which stands still unless the offset is fitted: are depths and faces "
+            "right, and is the profile no noise?"
+        )
     return FrictionEstimate(
         coefficient=mu,
         interval=(
@@ -136,9 +161,45 @@ def estimate_friction(
         at_limit=min(mu - low, high - mu) < 1e-3 * (high - low),
         step=step,
         offset=offset,
-        residual=float(np.sqrt(np.mean((relative["measured"] - relative["fitted"]) ** 2))),
+        residual=misfit_of_step,
+        unit=length_unit(str(profile["displacement"].attrs.get("units", ""))),
         profile=relative,
     )
+
+
+def doubts_about(estimate: FrictionEstimate, calibration: xr.DataArray) -> list[str]:
+    """Say in plain words what casts doubt on an estimate: its misfit, sign and size of the step.
+
+    Parameters
+    ----------
+    estimate
+        As :func:`estimate_friction` gives it.
+    calibration
+        The curves that it was made with.
+    """
+    doubts = []
+    if estimate.residual > _DOUBTFUL:
+        doubts.append(
+            f"the profile differs from every calibration curve by {estimate.residual:.0%} of the "
+            "step (rms), more than friction can bend it: are layer, region and depths those of the "
+            "calibration?"
+        )
+    if estimate.step > 0.0:
+        doubts.append(
+            "the layer moves away from the window, and a step that presses it moves it towards the "
+            "window: are the volumes in their order, and is the sign of the displacement right? "
+            "While the load is taken away, friction acts the other way round"
+        )
+    expected = calibration.attrs.get("step_mm")
+    if estimate.unit and expected:
+        step = abs(estimate.step) * MM[estimate.unit]
+        if not 1.0 / _STEPS_ALIKE < step / expected < _STEPS_ALIKE:
+            doubts.append(
+                f"the step of {1e3 * step:.2g} um is not that of the calibration, "
+                f"{1e3 * expected:.2g} um: are wavelength and units right? Else make curves for "
+                "this step"
+            )
+    return doubts
 
 
 def read_profile(
@@ -220,7 +281,9 @@ def read_profile(
             "lie within 0 and 1; without a unit it is mm if the loaded thickness is given, and a "
             "fraction if it is not or the column is called depth_fraction"
         )
-    return xr.Dataset({k: ("depth", v) for k, v in columns.items()}, coords={"depth": depth})
+    unit = units["displacement"]
+    attrs = {} if unit is None else {"units": unit}
+    return xr.Dataset({k: ("depth", v, attrs) for k, v in columns.items()}, coords={"depth": depth})
 
 
 def _curves(calibration: xr.DataArray) -> tuple[Array, PchipInterpolator]:

@@ -63,10 +63,11 @@ def displacement_profile(
     Raises
     ------
     InputError
-        Volumes are not complex or not alike, depths are outside, or the phase is noise.
+        Volumes are not complex, not alike or the same, depths are outside, or the phase is noise.
     """
     b, a = _pair(before, after)
-    _positive(spacing=spacing, wavelength=wavelength, refractive_index=refractive_index)
+    _positive(spacing=spacing, refractive_index=refractive_index)
+    _check_wavelength(wavelength)
     z = spacing * np.arange(b.shape[0])
     if not 0.0 <= window_depth < sample_depth <= z[-1] + spacing:
         raise InputError(
@@ -163,7 +164,8 @@ def axial_strain(
         Volumes are not complex or not alike, or hold fewer than 4 pixels along z.
     """
     b, a = _pair(before, after)
-    _positive(spacing=spacing, wavelength=wavelength, refractive_index=refractive_index)
+    _positive(spacing=spacing, refractive_index=refractive_index)
+    _check_wavelength(wavelength)
     if b.shape[0] < 4:
         raise InputError(f"strain needs at least 4 pixels along z, got {b.shape[0]}")
     product = (b * np.conj(a)).reshape(b.shape[0], -1)
@@ -232,11 +234,22 @@ def _pair(before: ArrayLike, after: ArrayLike) -> tuple[Complex, Complex]:
         )
     if not (np.isfinite(b).all() and np.isfinite(a).all()):
         raise InputError("volumes before and after must be finite; cut out what is missing")
+    if np.array_equal(b, a):
+        raise InputError(
+            "volumes before and after are the same, sample by sample; give that after the step, too"
+        )
     if not (b.any() and a.any()):
         raise InputError(
             "volumes before and after: all samples of one are zero, there is no signal"
         )
     return b, a
+
+
+def _check_wavelength(wavelength: float) -> None:
+    if not 1e-4 <= wavelength <= 1e-2:
+        raise InputError(
+            f"wavelength = {wavelength:g} mm: must be that of light, 1.3e-3 mm for 1300 nm"
+        )
 
 
 def _positive(**values: float) -> None:

@@ -67,8 +67,18 @@ def write_friction(estimate: FrictionEstimate, path: str | Path, **about: Any) -
             "interval_95": estimate.interval,
             "at_limit_of_calibration": estimate.at_limit,
             "step": estimate.step,
+            "offset": estimate.offset,
             "relative_residual": estimate.residual,
             **about,
+            "units": {
+                "step": estimate.unit or "that of the profile",
+                "offset": estimate.unit or "that of the profile",
+                "relative_residual": "fraction of the step",
+                "profile": {
+                    str(k): f"fraction of the {'layer' if k == 'depth' else 'step'}"
+                    for k in ("depth", *profile.data_vars)
+                },
+            },
             "profile": {str(k): profile[k].values.tolist() for k in ("depth", *profile.data_vars)},
         },
     )
