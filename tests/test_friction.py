@@ -373,11 +373,24 @@ def test_impossible_slabs_are_refused():
         ({"step": 0.0}, "step"),
         ({"region": 4.0}, "region"),
         ({"sample_friction": -0.1}, "negative"),
+        ({"sample_friction": np.nan}, "sample_friction: a coefficient"),
+        ({"layer_size": (np.inf, 3.0)}, "layer_size: two lengths"),
+        ({"initial_thickness": np.inf}, "initial_thickness: a length"),
+        ({"step": np.nan}, "step: a length"),
     ]:
         with pytest.raises(InputError, match=message):
             slab_profile(0.1, **{**good, **change})
     with pytest.raises(InputError, match="increasing"):
         calibration_curves([0.2, 0.1], **good)
+    for coefficients, changes, message in [
+        ([0.1, np.nan], {}, "friction: coefficients"),
+        ([0.1, np.inf], {}, "friction: coefficients"),
+        ([0.1, 3.0], {}, "friction = 3: .* between 0 and 2"),
+        ([-0.1, 0.3], {}, r"friction = -0\.1: .* between 0 and 2"),
+        ([0.1, 0.3], {"sample_friction": 2.5}, r"friction = 2\.5: .* between 0 and 2"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            calibration_curves(coefficients, **{**good, **changes})
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from optical_palpation.arguments import number, numbers
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.files import netcdf, replacing
 from optical_palpation.material import Law
@@ -35,6 +36,8 @@ _PRELOAD_SLIP = 3e-4
 # Under the small step it slips by less than the step: as shares of the step, a half gives an
 # incremental profile off by 0.05, a fiftieth by 0.005. Each share starts from the one before.
 _STEP_SLIPS = (0.5, 0.1, 0.02)
+#: Largest coefficient of friction that a study takes.
+_LARGEST = 2.0
 
 
 def slab_profile(
@@ -93,6 +96,21 @@ def slab_profile(
     ConvergenceError
         If the load cannot be reached.
     """
+    friction, sample_friction = (
+        number(value, name, "a coefficient of friction")
+        for name, value in (("friction", friction), ("sample_friction", sample_friction))
+    )
+    size_x, size_y = numbers(layer_size, 2, "layer_size", "two lengths in mm, x and y")
+    layer_size = size_x, size_y
+    initial_thickness, loaded_thickness, step, region = (
+        number(value, name, "a length in mm")
+        for name, value in (
+            ("initial_thickness", initial_thickness),
+            ("loaded_thickness", loaded_thickness),
+            ("step", step),
+            ("region", region),
+        )
+    )
     compression = initial_thickness - loaded_thickness
     if not (0.0 < loaded_thickness < initial_thickness and step > 0.0):
         raise InputError(
@@ -191,9 +209,14 @@ def calibration_curves(
         ``normalised_displacement`` over ``friction`` and ``depth`` (fraction of the loaded layer,
         0 at the window), 0 at the window and 1 at the sample.
     """
-    values = [float(mu) for mu in friction]
+    values = [number(mu, "friction", "coefficients of friction") for mu in friction]
     if len(values) < 2 or any(b <= a for a, b in pairwise(values)):
         raise InputError(f"friction = {values}: give at least two coefficients, increasing")
+    for mu in (*values, number(sample_friction, "sample_friction", "a coefficient of friction")):
+        if not 0.0 <= mu <= _LARGEST:
+            raise InputError(
+                f"friction = {mu:g}: coefficients lie between 0 and {_LARGEST:g}, as in a study"
+            )
     depth = np.linspace(0.0, 1.0, 41)
     profile = partial(
         slab_profile,
