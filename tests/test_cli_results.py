@@ -92,6 +92,14 @@ def test_regions_of_a_result(here, run):
     assert float(row["area_mm2"]) == pytest.approx(1.0)
     assert (here / "regions.png").stat().st_size > 1000
     assert run("regions", "a.nc", "nothing.roi")[0] == 2
+    assert "no value" not in out
+    x0, x1 = float(maps["x"][-1]) - 0.2, float(maps["x"][-1]) + 0.6
+    corners = [(x0, 1.0), (x1, 1.0), (x1, 2.0), (x0, 2.0)]
+    text = "name,x_mm,y_mm\n" + "".join(f"edge,{x},{y}\n" for x, y in corners)
+    (here / "edge.csv").write_text(text)
+    status, out, _ = run("regions", "a.nc", "edge.csv")
+    assert status == 0
+    assert "75 % of it has no value" in out
 
 
 def test_comparison_of_results(here, run):

@@ -18,7 +18,7 @@ from optical_palpation.present.summary import (
     touching_share,
     without_inputs,
 )
-from optical_palpation.present.terms import plain, rounded
+from optical_palpation.present.terms import percent, plain, rounded
 
 
 def write_table(table: xr.Dataset, path: str | Path) -> None:
@@ -54,6 +54,8 @@ def table_in_words(table: xr.Dataset) -> str:
         parts.append(f"area {_said(row, 'area')} mm2")
         if "contrast" in row:
             parts.append(f"contrast {float(row['contrast']):.3g}")
+        if (missing := float(row["missing"])) > 1e-6:  # more than rounding leaves
+            parts.append(f"{percent(missing)} of it has no value")
         lines.append(f"  {name}: {', '.join(parts)}")
     return "\n".join(lines)
 
