@@ -382,6 +382,24 @@ def test_the_results_of_another_study_are_left_alone(done, run):
     assert status == 2
     assert "another study, study.toml" in err
     assert {path.name: path.read_bytes() for path in done.iterdir()} == before
+    # nor is one of the same name in another folder the same study
+    (done.parent / "day2").mkdir()
+    same = STUDY.replace('volume = "', 'volume = "../') + '[outputs]\nfolder = "../study-results"\n'
+    (done.parent / "day2" / "study.toml").write_text(same)
+    for how in ([], ["--check"]):
+        status, _, err = run("run", done.parent / "day2" / "study.toml", *how)
+        assert status == 2
+        assert "another study, study.toml (../study.toml)" in err
+    assert {path.name: path.read_bytes() for path in done.iterdir()} == before
+
+
+def test_a_record_of_an_earlier_version_goes_on(done, run):
+    record = json.loads((done / "provenance.json").read_text())
+    assert record.pop("study_file") == "../study.toml"
+    (done / "provenance.json").write_text(json.dumps(record))
+    status, out, _ = run("run", done.parent / "study.toml")
+    assert status == 0
+    assert "(from an earlier run)" in out
 
 
 def test_a_record_cannot_make_it_remove_files_elsewhere(done, run):

@@ -100,6 +100,14 @@ def is_left_over_of(name: str, target: str) -> bool:
     return re.fullmatch(pattern, name) is not None
 
 
+def seen_from(folder: str | os.PathLike[str], path: str | os.PathLike[str]) -> str:
+    """Path as seen from a folder; the whole of it where that is on another drive."""
+    try:
+        return os.path.relpath(path, folder)
+    except ValueError:
+        return str(Path(path).resolve())
+
+
 def readable_name(path: str | os.PathLike[str]) -> str:
     r"""Name of a file as text that any file can hold: bytes that are no UTF-8 become ``\xff``."""
     return os.fsencode(Path(path).name).decode("utf-8", "backslashreplace")

@@ -15,6 +15,7 @@ from typing import Any
 
 from optical_palpation.arguments import toml_fault
 from optical_palpation.errors import InputError
+from optical_palpation.files import seen_from
 from optical_palpation.study.reading import fault_of_name, relocated
 
 #: Values that are paths, besides those of a sample; they count from the folder of the table.
@@ -280,15 +281,10 @@ def _scan(
 ) -> Scan:
     study = source.parent / about["study"]
 
-    def seen_from_study(name: str) -> str:
-        path = source.parent / name
-        try:
-            return os.path.relpath(path, study.parent)
-        except ValueError:  # another drive
-            return str(path.resolve())
-
     moved = {
-        key: seen_from_study(value) if key in _PATHS and isinstance(value, str) else value
+        key: seen_from(study.parent, source.parent / value)
+        if key in _PATHS and isinstance(value, str)
+        else value
         for key, value in overrides.items()
     }
     sample = {
@@ -296,7 +292,7 @@ def _scan(
         for key, value in overrides.items()
         if key.startswith("sample.")
     }
-    files = relocated(sample, lambda _, name: seen_from_study(name))
+    files = relocated(sample, lambda _, name: seen_from(study.parent, source.parent / name))
     moved |= {f"sample.{key}": value for key, value in files.items()}
     regions = source.parent / about["regions"] if "regions" in about else None
     if "name" in about:

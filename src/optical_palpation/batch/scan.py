@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from optical_palpation.batch.dispatch import Outcome
 from optical_palpation.batch.reading import Scan
 from optical_palpation.errors import FolderBusyError, OpticalPalpationError
+from optical_palpation.files import seen_from
 
 if TYPE_CHECKING:
     from optical_palpation.palpation import StressResult
@@ -61,7 +61,7 @@ def run_scan(
     target = folder / scan.name
     errors = folder / f"{scan.name}.error.txt"
     try:
-        place = {"outputs.folder": _relative(target, scan.study.parent)}
+        place = {"outputs.folder": seen_from(scan.study.parent, target)}
         study = read_study(scan.study, {**scan.overrides, **place})
         beside = [folder / name for name in alike[scan.name]]
         with limited_threads(threads):
@@ -146,13 +146,6 @@ def predicted_need(scan: Scan) -> float | None:
         return volume + predicted_memory((through, across[0], across[1]), solver)
     except (OpticalPalpationError, OSError):  # the scan itself tells what is wrong
         return None
-
-
-def _relative(target: Path, start: Path) -> str:
-    try:
-        return os.path.relpath(target, start)
-    except ValueError:  # another drive
-        return str(target.resolve())
 
 
 def _row(

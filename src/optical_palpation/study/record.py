@@ -27,7 +27,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from optical_palpation.errors import ConvergenceError, FolderBusyError, InputError, OutputError
-from optical_palpation.files import check_target, is_left_over_of, replacing
+from optical_palpation.files import check_target, is_left_over_of, replacing, seen_from
 from optical_palpation.runtime import software_version, source_digest
 
 RECORD = "provenance.json"
@@ -76,7 +76,7 @@ class Stage:
 
 def make_all(
     folder: Path,
-    study: str,
+    study: Path,
     about: Mapping[str, object],
     stages: Sequence[Stage],
     tell: Tell,
@@ -92,7 +92,7 @@ def make_all(
     folder
         Result folder; made if need be.
     study
-        Name of the study file that the folder belongs to.
+        The study file that the folder belongs to.
     about
         What the record says beyond the stages.
     stages
@@ -128,7 +128,7 @@ def make_all(
 
 def _make_all(
     folder: Path,
-    study: str,
+    study: Path,
     about: Mapping[str, object],
     stages: Sequence[Stage],
     known: Mapping[str, Any],
@@ -153,7 +153,8 @@ def _make_all(
     record = {
         "software": "optical-palpation",
         "software_version": software_version(),
-        "study": study,
+        "study": study.name,
+        "study_file": _place(folder, study),
         "complete": False,
         **about,
         "versions": {"python": platform.python_version()} | {p: version(p) for p in _PACKAGES},
@@ -218,7 +219,7 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def check_folder(folder: Path, study: str) -> None:
+def check_folder(folder: Path, study: Path) -> None:
     """Refuse a result folder that cannot be made, or holds something else than a study's results.
 
     Raises
@@ -247,7 +248,7 @@ def _not_made(folder: Path, error: OSError) -> OutputError:
     )
 
 
-def _open(folder: Path, study: str) -> dict[str, Any]:
+def _open(folder: Path, study: Path) -> dict[str, Any]:
     """Make the folder, or return what its record knows about the files in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -258,7 +259,7 @@ def _open(folder: Path, study: str) -> dict[str, Any]:
         return {}
     try:
         record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-        owner = record["study"]
+        owner, place = record["study"], record.get("study_file")
         stages = {file: dict(entry) for file, entry in record["stages"].items()}
         if any(Path(file).name != file for file in stages):
             raise ValueError("a name that is no file of this folder")
@@ -267,12 +268,19 @@ def _open(folder: Path, study: str) -> dict[str, Any]:
             f"{folder}: holds files but no record ({RECORD}) of a study; empty it, or choose "
             "another folder in [outputs]"
         ) from error
-    if owner != study:
+    # records of earlier versions tell the name alone
+    if owner != study.name or place not in (None, _place(folder, study)):
         raise OutputError(
-            f"{folder}: holds the results of another study, {owner}; choose another folder in "
-            "[outputs]"
+            f"{folder}: holds the results of another study, {owner}"
+            + (f" ({place})" if place else "")
+            + "; choose another folder in [outputs]"
         )
     return stages
+
+
+def _place(folder: Path, study: Path) -> str:
+    """Where a study lies, seen from its result folder: both may be moved together."""
+    return Path(seen_from(folder.resolve(), study.resolve())).as_posix()
 
 
 def _write(folder: Path, record: Mapping[str, object]) -> None:

@@ -81,7 +81,7 @@ def describe_inputs(study: Study) -> str:
     OutputError
         If the result folder cannot be made, or holds something else.
     """
-    check_folder(study.folder, study.file.name)
+    check_folder(study.folder, study.file)
     said, inputs = [], {}
     for side, source in study.inputs.items():
         try:
@@ -166,7 +166,7 @@ def run_study(
     try:
         files, earlier = make_all(
             study.folder,
-            study.file.name,
+            study.file,
             about,
             plan,
             tell,
