@@ -22,6 +22,7 @@ from optical_palpation.batch import Batch, BatchResult, read_batch, run_batch, s
 from optical_palpation.batch.cluster import About, threads_of
 from optical_palpation.batch.dispatch import LOSSES, Dispatcher, Outcome
 from optical_palpation.batch.scan import predicted_need, run_scan
+from optical_palpation.batch.table import claim_folder
 from optical_palpation.errors import (
     ConvergenceError,
     InputError,
@@ -196,6 +197,10 @@ def test_folder(tmp_path):
         ("t.csv", "study,friction.window,friction.sample\ns,0.2", "line 2: 2 cells below 3"),
         ("t.csv", "", "no study"),
         ("t.csv", "study\n", "no study"),
+        ("t.csv", "study,name\ns,Scans.csv", "scan 1 is called 'scans.csv'.* file of the results"),
+        ("t.csv", "study,name\ns,index.html", "file of the results"),
+        ("t.csv", "study,name\ns,a\ns,a.error.txt", "scan 2 .* file of the results"),
+        ("scans.csv", "study,name\ns,a", "choose another folder for them"),
         ("t.toml", "study = 1", "text in quotes"),
         ("t.toml", "study = 's'\nsweeps.a = [1]", "sweeps is unknown"),
         ("t.toml", "study = 's'\nsweep.friction.window = 1", "list of values"),
@@ -211,7 +216,7 @@ def test_tables_that_cannot_be_used(tmp_path, name, text, told):
     path = tmp_path / name
     path.write_text(text)
     with pytest.raises(InputError, match=f"(?s){name}.*({told})"):
-        read_batch(path)
+        read_batch(path, tmp_path)
     with pytest.raises(InputError, match="no such file"):
         read_batch(tmp_path / "none.csv")
     with pytest.raises(InputError, match="File name too long"):
@@ -648,6 +653,32 @@ def test_memory_of_this_machine_is_not_promised_twice():
     assert _workers_for([1e9] * 2, 4, 100e9) == 2
     assert _workers_for([1e9] * 10, 4, 3.2e9) == 2
     assert _workers_for([None, 50e9], 4, 3e9) == 1
+
+
+def test_folder_of_another_batch_is_left_alone(tmp_path):
+    make_scans(tmp_path, 1)
+    out = tmp_path / "out"
+    for folder in ("day1", "day2"):
+        (tmp_path / folder).mkdir()
+        table(tmp_path / folder, ["../0.npz"])
+
+    def claim(folder):
+        claim_folder(read_batch(tmp_path / folder / "table.csv", out))
+
+    claim("day1")
+    claim("day1")
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    with pytest.raises(OutputError, match=r"another batch, \.\./day1/table\.csv.*batch\.json"):
+        claim("day2")
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    # what an earlier version left has no record; what somebody else left is no result
+    (out / "batch.json").unlink()
+    (out / "scans.csv").write_text("scan,status,message,seconds\n")
+    claim("day2")
+    (out / "batch.json").unlink()
+    (out / "scans.csv").write_text("patient,age\n")
+    with pytest.raises(OutputError, match=r"scans\.csv: is no result of a batch"):
+        claim("day2")
 
 
 def test_no_scheduler_there(tmp_path):

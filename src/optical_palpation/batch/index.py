@@ -13,13 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optical_palpation.batch.dispatch import Outcome
-from optical_palpation.batch.reading import Batch
-from optical_palpation.batch.table import CSV, PARQUET
+from optical_palpation.batch.reading import CSV, ERROR, INDEX, PARQUET, Batch
 from optical_palpation.files import replacing
 from optical_palpation.present.terms import percent, rounded
 from optical_palpation.runtime import software_version
 
-INDEX = "index.html"
 _COLOURS = "viridis_r"
 #: Columns of the page besides what differs between the scans; the tables have all.
 _COLUMNS = {
@@ -105,7 +103,7 @@ def write_index(batch: Batch, outcomes: Sequence[Outcome]) -> Path:
 
 def _link(folder: Path, name: str) -> str:
     """The report of a scan, or what there is of it."""
-    for file in (f"{name}/report.html", f"{name}/stress.png", f"{name}.error.txt"):
+    for file in (f"{name}/report.html", f"{name}/stress.png", f"{name}{ERROR}"):
         if (folder / file).is_file():
             return quote(file)
     return quote(f"{name}/") if (folder / name).is_dir() else ""

@@ -22,8 +22,12 @@ from optical_palpation.study.reading import fault_of_name, relocated
 _PATHS = frozenset(
     f"{side}.{key}" for side in ("unloaded", "loaded") for key in ("volume", "map", "corrections")
 )
+#: Tables, page and record in the folder of the results.
+CSV, PARQUET, INDEX, RECORD = "scans.csv", "scans.parquet", "index.html", "batch.json"
 #: What a table says of a scan besides values of its study.
 _OWN = ("name", "study", "regions")
+#: Ending of the file that says why a scan failed, which has its name.
+ERROR = ".error.txt"
 _LARGEST = 32 * 1024**2  # bytes of a table
 _MOST = 100_000  # scans
 
@@ -123,6 +127,13 @@ def read_batch(
                 f"{scan.name!r}; give them names that differ"
             )
         seen[scan.name.casefold()] = n
+    for name in seen:
+        of_other = name.endswith(ERROR) and name.removesuffix(ERROR) in seen
+        if of_other or name in (CSV, PARQUET, INDEX, RECORD):
+            raise InputError(
+                f"{source}: scan {seen[name]} is called {name!r}, which is a file of the results; "
+                "give it another name"
+            )
     if regions is not None:
         shared = Path(regions)
         if not os.path.isfile(shared):
@@ -133,7 +144,13 @@ def read_batch(
     target = folder or (source.parent / given if given else None)
     if target is None:
         target = default.with_name(f"{default.name if source.is_dir() else source.stem}-results")
-    return Batch(source, tuple(scans), Path(target))
+    target = Path(target)
+    if source.resolve() in {(target / name).resolve() for name in (CSV, PARQUET, INDEX, RECORD)}:
+        raise InputError(
+            f"{source}: is where the results of the batch go; choose another folder for them, or "
+            "rename the table"
+        )
+    return Batch(source, tuple(scans), target)
 
 
 def _text(source: Path) -> str:

@@ -72,16 +72,16 @@ def run_batch(
     InputError
         If Dask is missing, the scheduler cannot be reached, or a worker has another version.
     OutputError
-        If the folder of the results cannot be made or written.
+        If the folder of the results cannot be made or written, or holds those of another batch.
     """
     from optical_palpation.batch.index import write_index
-    from optical_palpation.batch.table import check_folder, write_tables
+    from optical_palpation.batch.table import claim_folder, write_tables
 
     if workers is not None and (workers < 1 or scheduler is not None):
         raise InputError(
             f"workers = {workers}: must be at least 1, and is for workers on this machine alone"
         )
-    check_folder(batch.folder)
+    claim_folder(batch)
     # Workers of a cluster have working directories of their own.
     scans = [
         Scan(s.name, s.study.resolve(), s.overrides, s.regions and s.regions.resolve())

@@ -15,7 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.batch.dispatch import Outcome
-from optical_palpation.batch.reading import Scan
+from optical_palpation.batch.reading import ERROR, Scan
 from optical_palpation.errors import FolderBusyError, OpticalPalpationError
 from optical_palpation.files import seen_from
 
@@ -59,7 +59,7 @@ def run_scan(
 
     started = time.monotonic()
     target = folder / scan.name
-    errors = folder / f"{scan.name}.error.txt"
+    errors = folder / f"{scan.name}{ERROR}"
     try:
         place = {"outputs.folder": seen_from(scan.study.parent, target)}
         study = read_study(scan.study, {**scan.overrides, **place})

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from optical_palpation.batch.dispatch import Outcome
-from optical_palpation.batch.reading import Batch
+from optical_palpation.batch.reading import CSV, INDEX, PARQUET, RECORD, Batch
 from optical_palpation.errors import OutputError
-from optical_palpation.files import check_target, replacing
+from optical_palpation.files import check_target, replacing, seen_from
 from optical_palpation.runtime import software_version
 
 if TYPE_CHECKING:
     import pandas as pd
 
-CSV, PARQUET = "scans.csv", "scans.parquet"
+#: How every table begins.
+_BEGINNING = "scan,status,message"
 
 
 def check_folder(folder: Path) -> None:
@@ -32,6 +34,49 @@ def check_folder(folder: Path) -> None:
         reason = error.strerror or error
         raise OutputError(f"{folder}: the folder cannot be made ({reason})") from error
     check_target(folder / CSV)
+
+
+def claim_folder(batch: Batch) -> None:
+    """Make the folder of a batch and note whose it is.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be made or written, or holds the results of another batch or something else
+        in the place of a table.
+    """
+    folder = batch.folder
+    check_folder(folder)
+    own = Path(seen_from(folder.resolve(), batch.source.resolve())).as_posix()
+    record = folder / RECORD
+    try:
+        owner = json.loads(record.read_text(encoding="utf-8"))["batch"]
+    except FileNotFoundError:
+        owner = own  # of the folder of an earlier version, or of a new one
+        taken = [name for name in (CSV, PARQUET, INDEX) if (folder / name).exists()]
+        if taken and not _is_table(folder / CSV):
+            raise OutputError(
+                f"{folder / taken[0]}: is no result of a batch, and would be overwritten; choose "
+                "another folder"
+            ) from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise OutputError(f"{record}: is no record of a batch; choose another folder") from error
+    if owner != own:
+        raise OutputError(
+            f"{folder}: holds the results of another batch, {owner}; choose another folder, or "
+            f"remove {record} to go on in this one"
+        )
+    with replacing(record) as temporary:
+        about = {"software": "optical-palpation", "batch": own}
+        temporary.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+
+
+def _is_table(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_BEGINNING)) == _BEGINNING.encode()
+    except OSError:
+        return False
 
 
 def table_of(batch: Batch, outcomes: Sequence[Outcome]) -> pd.DataFrame:
