@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +19,11 @@ from hypothesis import strategies as st
 import optical_palpation as op
 from optical_palpation.analysis import Noise
 from optical_palpation.batch import Batch, BatchResult, read_batch, run_batch, sweeping, worker_map
-from optical_palpation.batch.cluster import About, threads_of
+from optical_palpation.batch import run as run_module
+from optical_palpation.batch.cluster import About, Workers, threads_of
 from optical_palpation.batch.dispatch import LOSSES, Dispatcher, Outcome
+from optical_palpation.batch.index import write_index
+from optical_palpation.batch.reading import CSV
 from optical_palpation.batch.scan import predicted_need, run_scan
 from optical_palpation.batch.table import claim_folder
 from optical_palpation.errors import (
@@ -577,8 +580,6 @@ def test_client_that_is_killed_or_interrupted_goes_on_later(tmp_path, reference)
 
 def test_job_that_ends_its_workers_is_given_up(monkeypatch):
     """A dispatcher on workers that vanish: no other job suffers."""
-    from optical_palpation.batch.cluster import Workers
-
     names = ["good", "deadly", "fine"]
 
     class Scheduler:
@@ -640,7 +641,7 @@ def test_job_that_ends_its_workers_is_given_up(monkeypatch):
 
 
 def test_memory_of_this_machine_is_not_promised_twice():
-    from optical_palpation.batch.cluster import Workers, _workers_for
+    from optical_palpation.batch.cluster import _workers_for
 
     needs = {"a": 6e9, "b": 1e9, "c": 3e9}
     crew = Workers(None, memory=9e9, process=0.5e9)
@@ -679,6 +680,70 @@ def test_folder_of_another_batch_is_left_alone(tmp_path):
     (out / "scans.csv").write_text("patient,age\n")
     with pytest.raises(OutputError, match=r"scans\.csv: is no result of a batch"):
         claim("day2")
+
+
+def test_batch_that_ends_early_keeps_what_there_was(tmp_path, monkeypatch):
+    make_scans(tmp_path, 3)
+    (tmp_path / "study.toml").write_text(STUDY + NO_ESTIMATES)
+    source = table(tmp_path, ["0.npz", "1.npz", "damaged.npz", "2.npz"])
+    end = {"s2"}
+    seen = []
+
+    class InThisProcess(Dispatcher):
+        def run(self):
+            for name, job in self.jobs.items():
+                if name in end:
+                    raise KeyboardInterrupt
+                self._finish(self.work(job, 1, lambda _: None))
+                seen.append(written()["status"].to_list() if results.joinpath(CSV).exists() else [])
+
+    monkeypatch.setattr(run_module, "connected", lambda *_: nullcontext(Workers(None, None)))
+    monkeypatch.setattr(run_module, "Dispatcher", InThisProcess)
+    monkeypatch.setattr(run_module, "_EVERY", 0.0)
+    results = tmp_path / "table-results"
+
+    def written():
+        return pd.read_csv(results / CSV).set_index("scan")
+
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(read_batch(source))
+    assert list(written()["status"]) == ["done", "done", "failed", "not run"]
+    assert seen[0] == ["done", "not run", "not run", "not run"]  # a running batch tells, too
+    end.clear()
+    run_batch(read_batch(source))
+    before, page = written(), (results / "index.html").read_text()
+    assert list(before["status"]) == ["done", "done", "failed", "done"]
+    for last in ("s1", "s0"):
+        end.add(last)
+        with pytest.raises(KeyboardInterrupt):
+            run_batch(read_batch(source))
+        pd.testing.assert_frame_equal(written(), before)
+        assert (results / "index.html").read_text() == page
+    # of another study, what there was tells nothing
+    source.write_text(source.read_text().replace("2.npz", "1.npz").replace("s0,", "s9,"))
+    end.remove("s0")
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(read_batch(source))
+    assert written()["status"].to_dict() == {
+        "s9": "done",
+        "s1": "done",
+        "sdamaged": "failed",
+        "s2": "not run",
+    }
+
+
+def test_scan_that_failed_has_no_link_to_what_it_made_before(tmp_path):
+    make_scans(tmp_path, 1)
+    batch = read_batch(table(tmp_path, ["0.npz"]))
+    (batch.folder / "s0").mkdir(parents=True)
+    (batch.folder / "s0" / "report.html").touch()
+    write_index(batch, [Outcome("s0", "done")])
+    assert 'href="s0/report.html"' in (batch.folder / "index.html").read_text()
+    (batch.folder / "s0.error.txt").touch()
+    write_index(batch, [Outcome("s0", "failed", "no luck")])
+    page = (batch.folder / "index.html").read_text()
+    assert 'href="s0.error.txt"' in page
+    assert "report.html" not in page
 
 
 def test_no_scheduler_there(tmp_path):

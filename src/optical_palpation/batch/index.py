@@ -73,7 +73,7 @@ def write_index(batch: Batch, outcomes: Sequence[Outcome]) -> Path:
                 "settings": [_shown(scan.overrides.get(key)) for key in settings],
                 "numbers": [_number(key, row) for key in columns],
                 "picture": None if picture is None else _picture(picture, low, high),
-                "link": _link(batch.folder, scan.name),
+                "link": _link(batch.folder, scan.name, status),
             }
         )
     page = (
@@ -101,12 +101,13 @@ def write_index(batch: Batch, outcomes: Sequence[Outcome]) -> Path:
     return path
 
 
-def _link(folder: Path, name: str) -> str:
-    """The report of a scan, or what there is of it."""
-    for file in (f"{name}/report.html", f"{name}/stress.png", f"{name}{ERROR}"):
+def _link(folder: Path, name: str, status: str) -> str:
+    """The report of a scan, or what there is of it; of one that failed, why."""
+    made = (f"{name}/report.html", f"{name}/stress.png")
+    for file in (f"{name}{ERROR}",) if status == "failed" else made:  # what it made is of before
         if (folder / file).is_file():
             return quote(file)
-    return quote(f"{name}/") if (folder / name).is_dir() else ""
+    return quote(f"{name}/") if status != "failed" and (folder / name).is_dir() else ""
 
 
 def _shown(value: Any) -> dict[str, Any]:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from optical_palpation.batch.cluster import connected
 from optical_palpation.batch.dispatch import BatchProgress, Dispatcher, Outcome
-from optical_palpation.batch.reading import Batch, Scan
-from optical_palpation.batch.scan import predicted_need, run_scan
-from optical_palpation.errors import InputError
+from optical_palpation.batch.reading import CSV, Batch, Scan
+from optical_palpation.batch.scan import earlier_outcome, predicted_need, run_scan
+from optical_palpation.errors import InputError, OutputError
 
 #: Tables of a study that tell what was measured.
 _INPUTS = ("loaded", "unloaded", "volumes")
+#: Seconds after which the tables of a running batch are written again.
+_EVERY = 60.0
 
 
 @dataclass(frozen=True)
@@ -90,16 +94,37 @@ def run_batch(
     folder = batch.folder.resolve()
     needs = {scan.name: predicted_need(scan) for scan in scans}
     outcomes: dict[str, Outcome] = {}
+    earlier: dict[str, Outcome | None] = {}
+    last = time.monotonic()
+
+    def write() -> list[Path]:
+        # a scan that has not been reached keeps what an earlier run made of it
+        for scan in scans:
+            if scan.name not in outcomes and scan.name not in earlier:
+                earlier[scan.name] = earlier_outcome(folder, scan)
+        known = [outcomes.get(scan.name) or earlier[scan.name] for scan in scans]
+        there = [outcome for outcome in known if outcome is not None]
+        return [*write_tables(batch, there), write_index(batch, there)]
+
+    def tell(report: BatchProgress) -> None:
+        nonlocal last
+        if report.finished and time.monotonic() > last + _EVERY:
+            with suppress(OutputError):  # the end tells, if it is still so
+                write()
+            last = time.monotonic()
+        if progress:
+            progress(report)
+
+    files: list[Path] = []
     try:
         with connected(scheduler, workers, list(needs.values())) as crew:
             work = partial(run_scan, folder, _alike(scans))
-            tell = progress or (lambda _: None)
             jobs = {scan.name: scan for scan in scans}
             Dispatcher(crew, work, jobs, needs, outcomes, tell).run()
     finally:  # an interrupted batch leaves tables of what it has
-        ordered = [outcomes[scan.name] for scan in scans if scan.name in outcomes]
-        files = write_tables(batch, ordered)
-        files.append(write_index(batch, ordered))
+        if outcomes or not (folder / CSV).exists():
+            files = write()
+    ordered = [outcomes[scan.name] for scan in scans if scan.name in outcomes]
     return BatchResult(batch.folder, tuple(ordered), tuple(files))
 
 

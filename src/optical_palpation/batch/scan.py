@@ -61,8 +61,7 @@ def run_scan(
     target = folder / scan.name
     errors = folder / f"{scan.name}{ERROR}"
     try:
-        place = {"outputs.folder": seen_from(scan.study.parent, target)}
-        study = read_study(scan.study, {**scan.overrides, **place})
+        study = read_study(scan.study, _changes(folder, scan))
         beside = [folder / name for name in alike[scan.name]]
         with limited_threads(threads):
             while True:
@@ -90,6 +89,41 @@ def run_scan(
     with suppress(OSError):  # the table says it as well
         errors.write_text(details + "\n", encoding="utf-8")
     return Outcome(scan.name, "failed", message, kind, seconds=time.monotonic() - started)
+
+
+def earlier_outcome(folder: Path, scan: Scan) -> Outcome | None:
+    """What became of a scan in an earlier run, if its study is the same; else None.
+
+    Whether the files that it starts from are the same, only a run finds out.
+
+    Parameters
+    ----------
+    folder
+        Folder of the batch.
+    scan
+        The scan.
+    """
+    from optical_palpation.present import read_result
+    from optical_palpation.study import read_study
+
+    target = folder / scan.name
+    try:
+        with suppress(FileNotFoundError):
+            said = (folder / f"{scan.name}{ERROR}").read_text(encoding="utf-8").strip()
+            return Outcome(scan.name, "failed", said)
+        record = json.loads((target / RECORD).read_text(encoding="utf-8"))
+        asked = read_study(scan.study, _changes(folder, scan))
+        if not record["complete"] or record["study_sha256"] != asked.sha256:
+            return None
+        row, thumbnail = _row(read_result(target / RESULT), target, scan)
+    except (OSError, ValueError, KeyError, TypeError, OpticalPalpationError):  # none, or broken
+        return None
+    return Outcome(scan.name, "earlier", "", "", row, thumbnail)
+
+
+def _changes(folder: Path, scan: Scan) -> dict[str, Any]:
+    """What a scan changes in its study, and where its results go."""
+    return {**scan.overrides, "outputs.folder": seen_from(scan.study.parent, folder / scan.name)}
 
 
 def predicted_need(scan: Scan) -> float | None:

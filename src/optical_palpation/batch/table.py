@@ -82,7 +82,8 @@ def _is_table(path: Path) -> bool:
 def table_of(batch: Batch, outcomes: Sequence[Outcome]) -> pd.DataFrame:
     """One row for each scan: name, status, what differs from its study, and what was found.
 
-    Scans that were not reached have the status ``not run``. Units are in the names of the columns.
+    Scans of which nothing is known have the status ``not run``. Units are in the names of the
+    columns.
     """
     import pandas as pd
 
