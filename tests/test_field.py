@@ -214,6 +214,13 @@ def test_one_tile_of_the_whole_has_no_cut_sides(coarse, here, tmp_path):
     assert error(found, whole(0.06)) < 0.02
 
 
+def test_elements_that_do_not_divide_the_field_widen_the_margin(coarse, here, tmp_path):
+    size = 0.0588  # twenty elements of 0.06 mm fill 1.2 mm
+    options = {"region": (0.0, 1.2, 0.0, 1.2), "margin": 4 * size}
+    found = solved(coarse, tmp_path, element_size=size, tile=9.0, **options)
+    assert found.maps.attrs["submodel_margin_mm"] == pytest.approx(4 * 0.06)
+
+
 def test_a_tile_whose_map_shows_another_force_is_named(coarse, here, tmp_path, monkeypatch):
     def misread(*arguments, **options):
         result = submodel_stress(*arguments, **options)

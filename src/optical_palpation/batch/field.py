@@ -33,6 +33,7 @@ from optical_palpation.palpation.result import Status, StressResult
 from optical_palpation.palpation.submodel import (
     SubmodelInputs,
     checked_region,
+    least_margin,
     settings_of,
     submodel_inputs,
     submodel_stress,
@@ -130,7 +131,8 @@ def field_stress(
     tiling = tiled(whole, inputs.sizes, float(tile), overlap)
     # elements of whole tiles lie on the points of the field
     hx, hy = (float(points[1] - points[0]) for points in (tiling.x, tiling.y))
-    inputs = replace(inputs, sizes=(hx, hy, inputs.sizes[2]))
+    sizes = hx, hy, inputs.sizes[2]
+    inputs = replace(inputs, sizes=sizes, margin=max(inputs.margin, least_margin(sizes)))
     with tempfile.TemporaryDirectory(prefix="optical-palpation-") as temporary:
         place = Path(temporary if folder is None else folder).resolve()
         try:

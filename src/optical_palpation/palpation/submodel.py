@@ -231,6 +231,11 @@ class SubmodelInputs:
         }
 
 
+def least_margin(sizes: Sequence[float]) -> float:
+    """Narrowest margin, four elements: half of it is whole elements of twice the size."""
+    return 4 * max(sizes[:2])
+
+
 def submodel_inputs(
     coarse: StressResult,
     loaded: xr.DataArray,
@@ -274,7 +279,7 @@ def submodel_inputs(
             f"elements of {sizes[0]:g} x {sizes[1]:g} mm are no smaller than those of the coarse "
             f"solution, {whole.grid.spacing[2]:.3g} x {whole.grid.spacing[1]:.3g} mm"
         )
-    least = 4 * max(sizes[:2])  # half of it is whole elements of twice the size
+    least = least_margin(sizes)
     margin = max(MARGIN * thickness, least) if margin is None else float(margin)
     if not margin >= least * (1 - 1e-6) or not np.isfinite(margin):
         raise InputError(f"margin must be at least {least:g} mm, four elements, not {margin:g} mm")
