@@ -487,3 +487,9 @@ def test_regions_and_result_of_a_study_folder(here, run):
     status, out, _ = run("regions", "some-results", "bump.roi")
     assert status == 0
     assert "bump" in out
+    before = (folder / "stress.nc").read_bytes()
+    for command in (["compare", "some-results", "b.nc"], ["convert", "some-results"]):
+        status, _, err = run(*command, "--output", "some-results/stress.nc")
+        assert status == 2
+        assert "choose another name" in err
+        assert (folder / "stress.nc").read_bytes() == before

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optical_palpation.cli.options import Quiet, print_files
-from optical_palpation.errors import InputError
+from optical_palpation.errors import InputError, OutputError
 
 if TYPE_CHECKING:
     from optical_palpation.palpation import StressResult
@@ -30,11 +30,16 @@ _Regions = Annotated[
 ]
 
 
+def result_file(path: Path) -> Path:
+    """File of a result, which in the result folder of a study is its stress."""
+    return path / "stress.nc" if os.path.isdir(path) else path
+
+
 def read(path: Path) -> StressResult:
     """Read a result, or that in the result folder of a study."""
     from optical_palpation.present import read_result
 
-    file = path / "stress.nc" if os.path.isdir(path) else path
+    file = result_file(path)
     if path.suffix.lower() == ".toml" or (os.path.isdir(path) and not os.path.isfile(file)):
         inside = sorted((path if os.path.isdir(path) else path.parent).glob("*/stress.nc"))
         made = f"such as {inside[0].parent}" if inside else "which 'optical-palpation run' makes"
@@ -78,7 +83,7 @@ def figure(
     from optical_palpation import present
     from optical_palpation.analysis import read_regions
 
-    present.check_outputs({"picture": output}, [result])
+    present.check_outputs({"picture": output}, [result_file(result)])
     read_one = read(result)
     size = float(width) if width.replace(".", "", 1).isdigit() else width
     if map:
@@ -135,7 +140,9 @@ def regions(
     from optical_palpation.present.tables import table_in_words, write_table
 
     wanted = {"table": output, "picture": plot}
-    present.check_outputs({k: p for k, p in wanted.items() if p is not None}, [result, file])
+    present.check_outputs(
+        {k: p for k, p in wanted.items() if p is not None}, [result_file(result), file]
+    )
     read_one = read(result)
     found = read_regions(file, read_one.maps)
     table = region_statistics(read_one.maps, found, map)
@@ -180,7 +187,8 @@ def compare(
     if len(results) < 2:
         raise typer.BadParameter("give two results at least")
     wanted = {"result": output, "picture": plot}
-    present.check_outputs({k: p for k, p in wanted.items() if p is not None}, results)
+    files = [result_file(path) for path in results]
+    present.check_outputs({k: p for k, p in wanted.items() if p is not None}, files)
     maps = {name: read(path).maps for name, path in _named(results).items()}
     found = compare_results(maps, map, register=register)
     if output:
@@ -245,9 +253,9 @@ def report(
     from optical_palpation import present, study
     from optical_palpation.analysis import read_regions
 
-    present.check_outputs({"report": output}, [result])
+    present.check_outputs({"report": output}, [result_file(result)])
     one = read(result)
-    source = result / "stress.nc" if os.path.isdir(result) else result
+    source = result_file(result)
     beside = source.resolve().parent == output.resolve().parent
     named = _named([result, *(compare or ())])
     others = {name: read(path) for name, path in named.items() if path != result}
@@ -288,6 +296,9 @@ def convert(
     from optical_palpation import present
 
     one = read(result)
+    for path in output:
+        if path.resolve() == result_file(result).resolve():
+            raise OutputError(f"{path}: is the result itself; choose another name")
     for path in output:
         present.write(one, path)
         if not quiet:
