@@ -150,6 +150,10 @@ def test_toml_with_a_sweep(tmp_path):
         regions = "own.csv"
         """
     )
+    with pytest.raises(InputError, match=r"regions: there is no file .*r\.csv"):
+        read_batch(path)
+    for name in ("r.csv", "own.csv"):
+        (tmp_path / name).write_text(REGIONS)
     batch = read_batch(path)
     assert batch.folder == tmp_path / "out"
     assert [scan.name for scan in batch.scans] == [
@@ -487,6 +491,17 @@ def here(batch, **_):
     alike = {scan.name: [] for scan in batch.scans}
     done = [run_scan(batch.folder, alike, scan, 1, lambda _: None) for scan in batch.scans]
     return BatchResult(batch.folder, tuple(done), ())
+
+
+def test_regions_that_cannot_be_read_cost_no_row(tmp_path):
+    make_scans(tmp_path, 1)
+    (tmp_path / "study.toml").write_text(STUDY + NO_ESTIMATES)
+    batch = read_batch(table(tmp_path, ["0.npz"]), regions=tmp_path / "regions.csv")
+    (tmp_path / "regions.csv").write_text("name,x_mm,y_mm\nelsewhere,8,8\n")
+    (done,) = here(batch).outcomes
+    assert done.status == "done"
+    assert done.row["window_force_mN"] > 0
+    assert "no regions: " in done.row["warnings"]
 
 
 def test_point_of_a_sweep_that_is_refused_does_not_lose_the_others(tmp_path, monkeypatch):

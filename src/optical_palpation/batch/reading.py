@@ -139,6 +139,9 @@ def read_batch(
         if not os.path.isfile(shared):
             raise InputError(f"{shared}: no such file of regions")
         scans = [replace(scan, regions=scan.regions or shared) for scan in scans]
+    for file in dict.fromkeys(scan.regions for scan in scans if scan.regions is not None):
+        if not os.path.isfile(file):
+            raise InputError(f"{source}: regions: there is no file {file}")
     given = settings.get("folder")
     default = source.resolve() if source.is_dir() else source
     target = folder or (source.parent / given if given else None)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.batch.dispatch import Outcome
 from optical_palpation.batch.reading import ERROR, Scan
-from optical_palpation.errors import FolderBusyError, OpticalPalpationError
+from optical_palpation.errors import FolderBusyError, InputError, OpticalPalpationError
 from optical_palpation.files import seen_from
 
 if TYPE_CHECKING:
@@ -192,10 +192,14 @@ def _row(
 
     record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     row: dict[str, Any] = result_columns(result)
+    warnings = warnings_about(result)
     if scan.regions is not None:
-        row |= _regions(result.maps, scan.regions)
+        try:
+            row |= _regions(result.maps, scan.regions)
+        except InputError as error:  # no reason to do without all else
+            warnings = [*warnings, f"no regions: {error}"]
     row["seconds"] = round(sum(entry["seconds"] for entry in record["stages"].values()), 2)
-    row["warnings"] = "; ".join(warnings_about(result))
+    row["warnings"] = "; ".join(warnings)
     row["software_version"] = record["software_version"]
     row["study"] = str(scan.study)
     row["study_sha256"] = record["study_sha256"]
