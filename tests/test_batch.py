@@ -95,6 +95,23 @@ def test_csv(tmp_path):
     assert batch.scans[1].overrides == {"sample.motion": "../m.nc"}
 
 
+def test_csv_of_a_spreadsheet(tmp_path):
+    path = tmp_path / "t.csv"
+    rows = ["name;study;loaded.map;;", "a;study.toml;m 1,2.npz;;", "b;study.toml;;;", ";;;;", ""]
+    text = "\r\n".join(["sep=;", *rows])
+    path.write_bytes(b"\xef\xbb\xbf" + text.encode())
+    one, other = read_batch(path).scans
+    assert one.overrides == {"loaded.map": "m 1,2.npz"}
+    assert (other.name, other.overrides) == ("b", {})
+    path.write_text(text.replace("b;study.toml", "b;"))
+    with pytest.raises(InputError, match="line 4: column study is empty"):
+        read_batch(path)
+    for encoding in ("utf-16", "cp1252"):
+        path.write_bytes("name,study\nmüller,study.toml\n".encode(encoding))
+        with pytest.raises(InputError, match="'CSV UTF-8'"):
+            read_batch(path)
+
+
 def test_files_of_a_sample_count_from_the_folder_of_the_table(tmp_path):
     (tmp_path / "t.toml").write_text(
         """
@@ -197,6 +214,10 @@ def test_folder(tmp_path):
         ("t.csv", "study,window\ns,0.3", "did you mean .*friction.window"),
         ("t.csv", "study,map\ns,1.npz", "did you mean unloaded.map or loaded.map"),
         ("t.toml", "study = 's'\n[[scan]]\nloaded = '1.npz'", "did you mean .*loaded.map"),
+        ("t.csv", "Name,Study\na,s", "column 'Name': write name"),
+        ("t.csv", "study;grid.element_size\ns;0.2\ns;0,2", "line 3: .*0,2: decimals have a point"),
+        ("t.csv", "study,name,,\ns,a,,b", "line 2: 4 cells below 2"),
+        ("t.csv", "study,,name\ns,,b", "is unknown"),
         ("t.csv", "study,study\ns,s", "several columns"),
         ("t.csv", "study,outputs.folder\ns,s", "outputs.folder"),
         ("t.csv", "study,name\ns,a\ns,A", "both called"),

@@ -28,6 +28,7 @@ CSV, PARQUET, INDEX, RECORD = "scans.csv", "scans.parquet", "index.html", "batch
 _OWN = ("name", "study", "regions")
 #: Ending of the file that says why a scan failed, which has its name.
 ERROR = ".error.txt"
+_COMMA = re.compile(r"[-+]?\d*,\d+")
 _LARGEST = 32 * 1024**2  # bytes of a table
 _MOST = 100_000  # scans
 
@@ -166,7 +167,9 @@ def _text(source: Path) -> str:
     except OSError as error:
         raise InputError(f"{source}: the table cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{source}: is no table, which is UTF-8 text") from error
+        raise InputError(
+            f"{source}: is no table, which is UTF-8 text; a spreadsheet saves it as 'CSV UTF-8'"
+        ) from error
 
 
 def _studies(folder: Path) -> Iterator[Scan]:
@@ -182,8 +185,11 @@ def _studies(folder: Path) -> Iterator[Scan]:
 
 
 def _from_csv(source: Path, text: str) -> list[Scan]:
+    said = re.match(r"\s*sep=([,;\t])(?=[\r\n])", text)  # a first line that Excel takes
+    if said:
+        text = "\n" * text[: said.end()].count("\n") + text[said.end() :]
     first = next((line for line in text.splitlines() if line.strip()), "")
-    delimiter = max(",;\t", key=first.count)
+    delimiter = said[1] if said else max(",;\t", key=first.count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=True)
     numbered = []
     try:
@@ -196,16 +202,25 @@ def _from_csv(source: Path, text: str) -> list[Scan]:
     if not numbered:
         return []
     (_, header), *body = numbered
+    while header and not header[-1]:  # columns that are empty from top to bottom
+        header.pop()
     _check_columns(source, header)
     scans: list[Scan] = []
     problems = []
     for line, row in body:
+        while len(row) > len(header) and not row[-1]:
+            row.pop()
         if len(row) != len(header):  # one that is short may lack a cell anywhere
             problems.append(f"line {line}: {len(row)} cells below {len(header)} columns")
             continue
         cells = {key: cell for key, cell in zip(header, row, strict=True) if cell}
         if "study" not in cells:
             problems.append(f"line {line}: column study is empty")
+            continue
+        commas = [key for key, cell in cells.items() if "." in key and _COMMA.fullmatch(cell)]
+        if commas:
+            wrong = ", ".join(f"{key} = {cells[key]}" for key in commas)
+            problems.append(f"line {line}: {wrong}: decimals have a point")
             continue
         overrides = {
             key: cell if key == "title" or _is_path(key, cell) else _value(cell)
@@ -220,6 +235,8 @@ def _from_csv(source: Path, text: str) -> list[Scan]:
 
 def _check_columns(source: Path, header: Sequence[str]) -> None:
     for column in header:
+        if (plain := column.casefold()) in _OWN and plain != column:
+            raise InputError(f"{source}: column {column!r}: write {plain}")
         if fault := "" if column in _OWN else fault_of_name(column):
             raise InputError(
                 f"{source}: {column} is unknown ({fault}); a table has study, name, regions, and "
