@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from optical_palpation.batch.dispatch import LOSSES, Dispatcher, Outcome
 from optical_palpation.batch.index import write_index
 from optical_palpation.batch.reading import CSV
 from optical_palpation.batch.scan import predicted_need, run_scan
-from optical_palpation.batch.table import claim_folder
+from optical_palpation.batch.table import claim_folder, table_of
 from optical_palpation.errors import (
     ConvergenceError,
     InputError,
@@ -766,6 +767,24 @@ def test_batch_that_ends_early_keeps_what_there_was(tmp_path, monkeypatch):
         "sdamaged": "failed",
         "s2": "not run",
     }
+
+
+def test_columns_do_not_depend_on_the_first_scan_and_names_stay(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("name,study,friction.window,grid.edges\nProbe 1/2,s,,padded\nb,s,0.1,\n")
+    batch = read_batch(path)
+    done = Outcome("b", "done", row={"window_force_mN": 1.0, "seconds": 2.0})
+    failed = Outcome("Probe_1_2", "failed", "no luck")
+    swapped = replace(batch, scans=batch.scans[::-1])
+    for of in batch, swapped:
+        columns = list(table_of(of, [failed, done]).columns)
+        assert columns[:4] == ["scan", "status", "message", "name"]
+        assert set(columns[4:6]) == {"friction.window", "grid.edges"}
+        assert columns[6:] == ["window_force_mN", "seconds"]
+    found = table_of(batch, [failed, done])
+    assert list(found["scan"]) == ["Probe_1_2", "b"]
+    assert list(found["name"]) == ["Probe 1/2", "b"]
+    assert "name" not in table_of(replace(batch, scans=batch.scans[1:]), [done])
 
 
 def test_scan_that_failed_has_no_link_to_what_it_made_before(tmp_path):

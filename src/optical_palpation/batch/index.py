@@ -66,7 +66,7 @@ def write_index(batch: Batch, outcomes: Sequence[Outcome]) -> Path:
         picture = outcome.thumbnail if outcome else None
         rows.append(
             {
-                "name": scan.name,
+                "name": scan.title or scan.name,
                 "status": "done" if status == "earlier" else status,
                 "message": outcome.message if outcome else "",
                 "warnings": row.get("warnings", ""),

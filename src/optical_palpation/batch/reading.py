@@ -48,12 +48,15 @@ class Scan:
     regions
         A file of regions of interest, as :func:`~optical_palpation.analysis.read_regions` takes
         it, or None.
+    title
+        The name as its table has it, where `name` is not the same: folders take fewer characters.
     """
 
     name: str
     study: Path
     overrides: Mapping[str, Any]
     regions: Path | None = None
+    title: str | None = None
 
 
 @dataclass(frozen=True)
@@ -181,7 +184,7 @@ def _studies(folder: Path) -> Iterator[Scan]:
         parts = [*inside.parts[:-1], inside.stem]
         if len(parts) > 1 and parts[-1] == "study":
             parts.pop()
-        yield Scan(_file_name("-".join(parts)), path, {})
+        yield _named(Scan("", path, {}), "-".join(parts))
 
 
 def _from_csv(source: Path, text: str) -> list[Scan]:
@@ -293,14 +296,14 @@ def _from_toml(source: Path, text: str) -> tuple[list[Scan], dict[str, Any]]:
             overrides = common | own | swept
             _check_columns(source, ["study", *overrides])
             scan = _scan(source, about, overrides, n)
+            said = scan.title or scan.name
             if swept and (len(rows) == 1 and "name" not in about):
-                scan = replace(scan, name="")
+                said = ""
             ending = "-".join(
                 f"{key.rpartition('.')[2]}_{_short(value, values)}"
                 for (key, value), values in zip(swept.items(), sweep.values(), strict=True)
             )
-            name = "-".join(part for part in (scan.name, ending) if part)
-            scans.append(replace(scan, name=_file_name(name)))
+            scans.append(_named(scan, "-".join(part for part in (said, ending) if part)))
     return scans, given
 
 
@@ -332,11 +335,14 @@ def _scan(
     files = relocated(sample, lambda _, name: seen_from(study.parent, source.parent / name))
     moved |= {f"sample.{key}": value for key, value in files.items()}
     regions = source.parent / about["regions"] if "regions" in about else None
-    if "name" in about:
-        name = _file_name(about["name"])
-    else:
-        name = f"{number:04d}-{_file_name(study.stem)}"
-    return Scan(name, study, moved, regions)
+    said = about.get("name", f"{number:04d}-{study.stem}")
+    return _named(Scan("", study, moved, regions), said)
+
+
+def _named(scan: Scan, said: str) -> Scan:
+    """A scan with the name that it was given, and one that its folder can have."""
+    name = _file_name(said)
+    return replace(scan, name=name, title=None if name == said else said)
 
 
 def _value(cell: str) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -88,7 +88,7 @@ def run_batch(
     claim_folder(batch)
     # Workers of a cluster have working directories of their own.
     scans = [
-        Scan(s.name, s.study.resolve(), s.overrides, s.regions and s.regions.resolve())
+        replace(s, study=s.study.resolve(), regions=s.regions and s.regions.resolve())
         for s in batch.scans
     ]
     folder = batch.folder.resolve()

@@ -88,6 +88,16 @@ def table_of(batch: Batch, outcomes: Sequence[Outcome]) -> pd.DataFrame:
     import pandas as pd
 
     found = {outcome.name: outcome for outcome in outcomes}
+    # one order of columns, whichever scan comes first and whatever was found of it
+    fullest = sorted(outcomes, key=lambda outcome: -len(outcome.row))
+    columns = dict.fromkeys(
+        [
+            *("scan", "status", "message"),
+            *(["name"] if any(scan.title for scan in batch.scans) else []),
+            *(key for scan in batch.scans for key in scan.overrides),
+            *(key for outcome in fullest for key in outcome.row),
+        ]
+    )
     rows: list[dict[str, Any]] = []
     for scan in batch.scans:
         outcome = found.get(scan.name)
@@ -100,11 +110,12 @@ def table_of(batch: Batch, outcomes: Sequence[Outcome]) -> pd.DataFrame:
                 if outcome.status == "failed"
                 else "done",
                 "message": outcome.message if outcome else "",
+                "name": scan.title or scan.name,
                 **{key: _cell(value) for key, value in scan.overrides.items()},
                 **(outcome.row if outcome else {}),
             }
         )
-    table = pd.DataFrame(rows)
+    table = pd.DataFrame(rows, columns=list(columns))
     counts = [name for name in ("elements", "newton_iterations") if name in table]
     table = table.astype(dict.fromkeys(counts, "Int64"))  # a scan that failed has none
     late = [c for c in ("seconds", "warnings", "software_version", "study") if c in table]
