@@ -283,7 +283,7 @@ def test_workers_on_the_same_cores_share_them():
     assert threads_of("0", crowded) == 1
 
 
-def test_need_grows_with_the_elements_and_is_unknown_of_a_broken_scan(tmp_path):
+def test_need_grows_with_the_elements_and_is_unknown_of_a_broken_scan(tmp_path, monkeypatch):
     make_scans(tmp_path, 1)
     sizes = ["0.25", "0.1", "0.05"]
     rows = [f"n{n},study.toml,{size}" for n, size in enumerate(sizes)]
@@ -298,6 +298,8 @@ def test_need_grows_with_the_elements_and_is_unknown_of_a_broken_scan(tmp_path):
     assert 4e6 < predicted_need(read_batch(tmp_path / "t.csv").scans[0]) < 2e9
     batch = read_batch(table(tmp_path, ["damaged.npz"]))
     assert predicted_need(batch.scans[0]) is None
+    monkeypatch.setattr("optical_palpation.study.read_study", lambda *_: 1 / 0)
+    assert predicted_need(batch.scans[0]) is None  # one scan does not end the batch
 
 
 @pytest.fixture(scope="module")

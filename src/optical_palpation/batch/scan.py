@@ -178,7 +178,7 @@ def predicted_need(scan: Scan) -> float | None:
         ]
         solver = "direct" if study.grid.solver == "direct" else "multigrid"
         return volume + predicted_memory((through, across[0], across[1]), solver)
-    except (OpticalPalpationError, OSError):  # the scan itself tells what is wrong
+    except Exception:  # the scan itself tells what is wrong, and the others go on
         return None
 
 
