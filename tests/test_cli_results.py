@@ -260,6 +260,9 @@ def test_values_on_the_command_line_go_before_those_of_the_file(here, run, told)
     assert told[1].folder == here / "elsewhere"
     run("run", "study.toml", "--set", "outputs.folder=mine")
     assert told[2].folder.name == "mine"
+    for title in ("12", "true", "a b", '"12"'):
+        run("run", "study.toml", "--set", f"title={title}")
+        assert told[-1].title == title.strip('"')
 
 
 def test_long_changes_that_end_differently_have_folders_of_their_own(here, run, told):
@@ -330,6 +333,15 @@ def test_check_reads_everything_and_writes_nothing(here, run, told):
     status, _, err = run("run", "study.toml", "--check", "--set", "material.c10=2230")
     assert status == 2
     assert "coefficients in Pa" in err
+    (here / "other.toml").write_text(STUDY.replace("0.5", "0.3", 1))
+    (here / "bad.toml").write_text(STUDY.replace("0.15", "-1"))
+    status, out, err = run("run", "bad.toml", "other.toml", "study.toml", "--check")
+    assert status == 2
+    assert "study.toml: can be run" in out
+    assert "bad.toml: cannot be used" in err
+    assert "2 of 3 studies failed" in err
+    for name in ("other.toml", "bad.toml"):
+        (here / name).unlink()
     (here / "map.npy").write_bytes(b"damaged")
     status, _, err = run("run", "study.toml", "--check")
     assert status == 2

@@ -70,8 +70,7 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Do everything that study files ask for; continue where an earlier run was interrupted."""
-    from optical_palpation.palpation.plausibility import unusual_layer
-    from optical_palpation.study import describe_inputs, read_study
+    from optical_palpation.study import read_study
 
     if output is not None and len(files) > 1:
         raise typer.BadParameter("--output is the folder of one study; leave it out of several")
@@ -90,35 +89,53 @@ def run(
         if key in values:
             raise typer.BadParameter(f"{option} and --set {key} say the same: leave one out")
         options[key] = asked_for
+    failed: list[OpticalPalpationError] = []
+
+    def several(error: OpticalPalpationError) -> None:
+        """Tell of one study of several; the others go on."""
+        if len(files) == 1:
+            raise error
+        print(f"error: {error}", file=sys.stderr)
+        failed.append(error)
+
     studies = []
     for file in files:  # all are read before the first is run
-        studies.append(read_study(file, _with_folder(values, file) | options))
+        try:
+            studies.append(read_study(file, _with_folder(values, file) | options))
+        except OpticalPalpationError as error:
+            if not check:
+                raise
+            several(error)
     folders = [asked.folder.resolve() for asked in studies]
     for k, folder in enumerate(folders):
         if folder in folders[:k]:
-            raise InputError(f"{files[k]}: has the same result folder as another study, {folder}")
-    if check:
-        for asked in studies:
-            said = describe_inputs(asked)
-            if not quiet:
-                print(f"{asked.file}: can be run; {said}; results would go to {asked.folder}")
-            for warning in unusual_layer(asked.material.make()):
-                print(f"WARNING: {asked.file}, [material]: {warning}")
-        return
-    failed: list[OpticalPalpationError] = []
+            raise InputError(
+                f"{studies[k].file}: has the same result folder as another study, {folder}"
+            )
     for asked in studies:
-        if len(studies) > 1 and not quiet:
+        if len(files) > 1 and not (quiet or check):
             print(f"{asked.file}:", flush=True)
         try:
-            _run(asked, thickness_only, quiet)
+            if check:
+                _check(asked, quiet)
+            else:
+                _run(asked, thickness_only, quiet)
         except OpticalPalpationError as error:
-            if len(studies) == 1:
-                raise
-            print(f"error: {error}", file=sys.stderr)
-            failed.append(error)
+            several(error)
     if failed:
         kind = next((e for e in failed if not isinstance(e, ConvergenceError)), failed[0])
-        raise type(kind)(f"{len(failed)} of {len(studies)} studies failed, see above")
+        raise type(kind)(f"{len(failed)} of {len(files)} studies failed, see above")
+
+
+def _check(asked: Study, quiet: bool) -> None:
+    from optical_palpation.palpation.plausibility import unusual_layer
+    from optical_palpation.study import describe_inputs
+
+    said = describe_inputs(asked)
+    if not quiet:
+        print(f"{asked.file}: can be run; {said}; results would go to {asked.folder}")
+    for warning in unusual_layer(asked.material.make()):
+        print(f"WARNING: {asked.file}, [material]: {warning}")
 
 
 def _run(asked: Study, thickness_only: bool, quiet: bool) -> None:
@@ -152,9 +169,12 @@ def _change(text: str) -> tuple[str, Any]:
     if not (equals and name.strip() and value.strip()):
         raise typer.BadParameter(f"--set takes KEY=VALUE, such as friction.window=0.2; not {text}")
     try:
-        return name.strip(), tomllib.loads(f"value = {value}")["value"]
+        read = tomllib.loads(f"value = {value}")["value"]
     except (tomllib.TOMLDecodeError, KeyError):
-        return name.strip(), value.strip()  # text, for which a shell takes the quotes away
+        read = value.strip()  # text, for which a shell takes the quotes away
+    if name.strip() == "title" and not isinstance(read, str):
+        read = value.strip()
+    return name.strip(), read
 
 
 def _with_folder(values: dict[str, Any], file: Path) -> dict[str, Any]:
