@@ -320,7 +320,6 @@ def _scan(
     source: Path, about: Mapping[str, str], overrides: Mapping[str, Any], number: int
 ) -> Scan:
     study = source.parent / about["study"]
-
     moved = {
         key: seen_from(study.parent, source.parent / value)
         if key in _PATHS and isinstance(value, str)
