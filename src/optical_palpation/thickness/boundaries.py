@@ -583,10 +583,10 @@ def _unseen(
     ny, nx, rows = band.shape
     reach, depth = rows // 2, scan.shape[0]
     near = min(reach, round(NEAR * scan.sigma) + 2)
-    around = slice(reach - near, reach + near + 1)
-    z = first[..., None] + np.arange(rows)[around]
-    gaps = (band[..., around] < 0) & (z >= 0) & (z < depth)
-    unseen = gaps.mean(axis=2) > MOST_MISSING
+    gaps = np.zeros((ny, nx), np.int32)
+    for k in range(reach - near, reach + near + 1):
+        gaps += (band[..., k] < 0) & (first + k >= 0) & (first + k < depth)
+    unseen = gaps > MOST_MISSING * (2 * near + 1)
     if edge == "rise":
         unseen |= gaps_between(scan.reduced, shallowest, first + reach) > GAP * max(scan.sigma, 1.0)
     blank = np.all(band < 0, axis=2)
