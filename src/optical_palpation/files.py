@@ -108,6 +108,11 @@ def seen_from(folder: str | os.PathLike[str], path: str | os.PathLike[str]) -> s
         return str(Path(path).resolve())
 
 
+def place_of(file: Path, folder: Path) -> str:
+    """Where a file lies, seen from a folder, on any system: both may be moved together."""
+    return Path(seen_from(folder.resolve(), file.resolve())).as_posix()
+
+
 def readable_name(path: str | os.PathLike[str]) -> str:
     r"""Name of a file as text that any file can hold: bytes that are no UTF-8 become ``\xff``."""
     return os.fsencode(Path(path).name).decode("utf-8", "backslashreplace")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from optical_palpation.batch.dispatch import Outcome
 from optical_palpation.batch.reading import CSV, INDEX, PARQUET, RECORD, Batch
 from optical_palpation.errors import OutputError
-from optical_palpation.files import check_target, replacing, seen_from
+from optical_palpation.files import check_target, place_of, replacing
 from optical_palpation.runtime import software_version
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def claim_folder(batch: Batch) -> None:
     """
     folder = batch.folder
     check_folder(folder)
-    own = Path(seen_from(folder.resolve(), batch.source.resolve())).as_posix()
+    own = place_of(batch.source, folder)
     record = folder / RECORD
     try:
         owner = json.loads(record.read_text(encoding="utf-8"))["batch"]

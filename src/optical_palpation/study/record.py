@@ -27,7 +27,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from optical_palpation.errors import ConvergenceError, FolderBusyError, InputError, OutputError
-from optical_palpation.files import check_target, is_left_over_of, replacing, seen_from
+from optical_palpation.files import check_target, is_left_over_of, place_of, replacing
 from optical_palpation.runtime import software_version, source_digest
 
 RECORD = "provenance.json"
@@ -154,7 +154,7 @@ def _make_all(
         "software": "optical-palpation",
         "software_version": software_version(),
         "study": study.name,
-        "study_file": _place(folder, study),
+        "study_file": place_of(study, folder),
         "complete": False,
         **about,
         "versions": {"python": platform.python_version()} | {p: version(p) for p in _PACKAGES},
@@ -269,18 +269,13 @@ def _open(folder: Path, study: Path) -> dict[str, Any]:
             "another folder in [outputs]"
         ) from error
     # records of earlier versions tell the name alone
-    if owner != study.name or place not in (None, _place(folder, study)):
+    if owner != study.name or place not in (None, place_of(study, folder)):
         raise OutputError(
             f"{folder}: holds the results of another study, {owner}"
             + (f" ({place})" if place else "")
             + "; choose another folder in [outputs]"
         )
     return stages
-
-
-def _place(folder: Path, study: Path) -> str:
-    """Where a study lies, seen from its result folder: both may be moved together."""
-    return Path(seen_from(folder.resolve(), study.resolve())).as_posix()
 
 
 def _write(folder: Path, record: Mapping[str, object]) -> None:
