@@ -103,11 +103,10 @@ def write_index(batch: Batch, outcomes: Sequence[Outcome]) -> Path:
 
 def _link(folder: Path, name: str, status: str) -> str:
     """The report of a scan, or what there is of it; of one that failed, why."""
-    made = (f"{name}/report.html", f"{name}/stress.png")
-    for file in (f"{name}{ERROR}",) if status == "failed" else made:  # what it made is of before
-        if (folder / file).is_file():
-            return quote(file)
-    return quote(f"{name}/") if status != "failed" and (folder / name).is_dir() else ""
+    there = [f"{name}/report.html", f"{name}/stress.png", f"{name}/"]
+    if status == "failed":  # what lies in its folder is of before
+        there = [f"{name}{ERROR}"]
+    return next((quote(file) for file in there if (folder / file).exists()), "")
 
 
 def _shown(value: Any) -> dict[str, Any]:
