@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numba as nb
@@ -77,13 +77,12 @@ class Imprint:
             return gaussian_average(field, widths, "nearest")
 
         motion = None if self.motion is None else smooth(self.motion)
-        return Imprint(
-            self.x,
-            self.y,
-            smooth(self.unloaded),
-            smooth(self.loaded),
-            motion,
-            float(np.hypot(self.smoothing, sigma)),
+        return replace(
+            self,
+            unloaded=smooth(self.unloaded),
+            loaded=smooth(self.loaded),
+            motion=motion,
+            smoothing=float(np.hypot(self.smoothing, sigma)),
         )
 
     def velocity(self, x: Array, y: Array, load: float) -> Array:

@@ -156,14 +156,14 @@ def without_lines(log: NDArray[np.float32], sigma: float) -> NDArray[np.float32]
 
 def gaps_between(
     reduced: Reduced, top: NDArray[np.float64], bottom: NDArray[np.float64]
-) -> NDArray[np.int64]:
+) -> NDArray[np.int32]:
     """Samples that are missing in each column between two depths `[y, x]`, pixels.
 
     What is missing from the top of a column on is where the volume begins, and no gap.
     """
     missing = np.isnan(reduced.log)
     if not missing.any():
-        return np.zeros(top.shape, np.int64)
+        return np.zeros(top.shape, np.int32)
     gaps = missing & np.logical_or.accumulate(~missing, axis=-1)
     above = np.cumsum(gaps, axis=-1, dtype=np.int32)
     blocks = [
@@ -172,7 +172,8 @@ def gaps_between(
     ]
     y, x = np.ix_(*blocks)
     first, last = (np.clip(np.round(z), 0, above.shape[-1] - 1).astype(int) for z in (top, bottom))
-    return (above[y, x, last] - above[y, x, first]).astype(np.int64)
+    between: NDArray[np.int32] = above[y, x, last] - above[y, x, first]
+    return between
 
 
 def _rise(log: NDArray[np.float32], sigma: float, inside: NDArray[np.bool_]) -> NDArray[np.float32]:
