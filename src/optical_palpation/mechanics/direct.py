@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -145,34 +145,45 @@ def _compression(system: NewtonSystem) -> sp.csr_matrix:
 
 
 def sparse_matrix(stencil: Vector, free: NDArray[np.bool_]) -> sp.csr_matrix:
-    """Matrix of a constrained block stencil, with a unit-like diagonal where it is constrained."""
-    rows, columns, source, diagonal = _pattern(free.shape[1:])
+    """Matrix of a constrained block stencil, with a unit-like diagonal where it is constrained.
+
+    Entries that the stencil has as zero are stored.
+    """
+    pattern = _pattern(free.shape[1:])
     flat = free.ravel()
-    entries = stencil.reshape(-1)[source].astype(float)
-    scale = np.abs(entries[diagonal]).mean() or 1.0
-    entries[diagonal[~flat]] += scale
-    kept = flat[rows] & flat[columns]
-    kept[diagonal] = True
-    begins = np.concatenate([[0], np.cumsum(np.bincount(rows[kept], minlength=flat.size))])
-    return sp.csr_matrix((entries[kept], columns[kept], begins), shape=(flat.size, flat.size))
+    entries = stencil.reshape(-1)[pattern.source].astype(float)
+    scale = np.abs(entries[pattern.diagonal]).mean() or 1.0
+    entries[pattern.diagonal[~flat]] += scale
+    return sp.csr_matrix((entries, pattern.columns, pattern.begins), shape=(flat.size, flat.size))
 
 
 def dense_matrix(stencil: Vector, free: NDArray[np.bool_]) -> Vector:
     """Return ``sparse_matrix`` as an array."""
-    rows, columns, source, _ = _pattern(free.shape[1:])
+    pattern = _pattern(free.shape[1:])
     matrix = np.zeros((free.size, free.size), stencil.dtype)
-    matrix[rows, columns] = stencil.reshape(-1)[source]
+    matrix[pattern.rows, pattern.columns] = stencil.reshape(-1)[pattern.source]
     diagonal = np.einsum("ii->i", matrix)
     diagonal[~free.ravel()] = np.abs(diagonal).mean() or 1.0
     return matrix
 
 
-@lru_cache(maxsize=64)
-def _pattern(node_shape: tuple[int, int, int]) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Rows, columns and positions in the stencil of all entries that lie inside the grid.
+class _Pattern(NamedTuple):
+    """All entries that lie inside a grid, row by row, each from left to right.
 
-    They come row by row, each from left to right; the last array says which are the diagonal.
+    ``source`` are their positions in the stencil, ``diagonal`` says which are on the diagonal, row
+    n begins at ``begins[n]``.
     """
+
+    rows: NDArray[np.int32]
+    columns: NDArray[np.int32]
+    begins: NDArray[np.int32]
+    source: NDArray[np.intp]
+    diagonal: NDArray[np.intp]
+
+
+@lru_cache(maxsize=64)
+def _pattern(node_shape: tuple[int, int, int]) -> _Pattern:
+    """Entries of the matrix of a grid of so many nodes."""
     nz1, ny1, nx1 = node_shape
     node = np.arange(nz1 * ny1 * nx1, dtype=np.int32).reshape(node_shape)
     k, j, i = np.indices(node_shape, np.int32)
@@ -190,4 +201,6 @@ def _pattern(node_shape: tuple[int, int, int]) -> tuple[NDArray, NDArray, NDArra
     row, column = np.concatenate(rows), np.concatenate(columns)
     order = np.lexsort((column, row))
     row, column = row[order], column[order]
-    return row, column, np.concatenate(source)[order], np.flatnonzero(row == column)
+    begins = np.searchsorted(row, np.arange(3 * node.size + 1)).astype(np.int32)
+    diagonal = np.flatnonzero(row == column)
+    return _Pattern(row, column, begins, np.concatenate(source)[order], diagonal)
