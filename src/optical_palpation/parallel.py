@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
+from functools import cache
 from typing import Any, cast
 
 import numba as nb
@@ -15,6 +17,7 @@ from llvmlite import ir
 from llvmlite.binding import Linkage
 from numba import extending
 from numba.core import cgutils, types
+from threadpoolctl import ThreadpoolController
 
 from optical_palpation.errors import InputError
 from optical_palpation.runtime.environment import check_environment, public_numba
@@ -61,6 +64,20 @@ def is_fork() -> bool:
 
 def _alone_after_fork() -> None:
     nb.set_num_threads(1)
+
+
+def one_blas_thread() -> AbstractContextManager[Any]:
+    """Leave matrices that are too small for more to one thread of the linear algebra libraries.
+
+    On busy cores several wait for one another a hundred times as long as the work takes.
+    """
+    return _libraries().limit(limits=1, user_api="blas")
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return the libraries that are loaded; to find them takes milliseconds."""
+    return ThreadpoolController()
 
 
 def _keep_to_itself(library):

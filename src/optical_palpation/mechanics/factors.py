@@ -14,16 +14,15 @@ not finite, or has a residual, and Newton's method sees it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import NamedTuple
 
 import numba as nb
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
 
-from optical_palpation.parallel import in_parallel
+from optical_palpation.parallel import in_parallel, one_blas_thread
 from optical_palpation.runtime.kernels import keep_kernels
 
 keep_kernels()
@@ -157,7 +156,7 @@ class Factors:
         components[unknowns] = np.arange(3)
         self._values = np.empty(self._fronts.factors[-1])
         # small products, of which many threads do one each
-        with _libraries().limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             _eliminate(
                 (matrix.indptr, matrix.indices, matrix.data),
                 (by_column.indptr, by_column.indices, by_column.data),
@@ -175,18 +174,13 @@ class Factors:
         for n, block in enumerate(work):
             part = rhs[order, n * width : (n + 1) * width]
             block[:, : part.shape[1]] = part
-        with _libraries().limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             _solve(self._fronts, self._values, work)
         out = np.empty((size, count))
         for n, block in enumerate(work):
             part = out[:, n * width : (n + 1) * width]
             part[order] = block[:, : part.shape[1]]
         return out
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    return ThreadpoolController()
 
 
 def _entries(p: Numbers, b: Numbers) -> Numbers:

@@ -13,7 +13,8 @@ from itertools import pairwise
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
+
+from optical_palpation.parallel import one_blas_thread
 
 from . import stencil as st
 from .direct import dense_matrix
@@ -142,7 +143,6 @@ class Hierarchy:
         self, positions: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
     ) -> None:
         """Build the levels for the node ``positions`` (z, y, x), mm."""
-        self._libraries = ThreadpoolController()
         self.levels: list[Level] = []
         while True:
             shape = tuple(len(p) for p in positions)
@@ -175,8 +175,7 @@ class Hierarchy:
         coarsest = self.levels[-1]
         self._free = free
         dense = dense_matrix(st.expanded(coarsest.stencil, coarsest.node_shape[2]), free)
-        # too small for threads, which on busy cores wait for one another a hundred times as long
-        with self._libraries.limit(limits=1, user_api="blas"):
+        with one_blas_thread():
             self._lu = scipy.linalg.lu_factor(dense, check_finite=False)
 
     def cycle(self, b: Vector) -> Vector:
