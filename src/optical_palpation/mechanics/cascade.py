@@ -123,7 +123,7 @@ def halved(problem: LayerProblem, halve: NDArray[np.bool_]) -> LayerProblem:
     """
     grid = problem.grid
     depth = grid.depth[coarse_nodes(grid.shape[0], bool(halve[0]))]
-    edge = edge_width(depth, float(np.median(grid.thickness)))
+    edge = edge_width(depth, grid.typical_thickness)
     y, x = (
         _coarse_axis(nodes, edge if problem.edges == "free" else None) if half else nodes
         for nodes, half in zip((grid.y, grid.x), halve[1:], strict=True)

@@ -111,7 +111,7 @@ class ContactLinearisation:
         resistance
             How drag resists the nodes of both faces, (2, ny + 1, nx + 1), mN / mm.
         """
-        height = float(np.median(problem.grid.thickness))
+        height = problem.grid.typical_thickness
         elastic = node_stiffness(problem.shear_modulus, problem.grid.areas, height) + resistance
         lateral = np.moveaxis(residual[:2, [0, -1]], 1, 0)
         ahead = look_ahead(self.slip, lateral, elastic * problem.slip_length, whole[[0, -1]])

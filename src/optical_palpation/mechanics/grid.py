@@ -60,6 +60,11 @@ class LayerGrid:
         return nz * ny * nx
 
     @cached_property
+    def typical_thickness(self) -> float:
+        """Median unloaded thickness, mm."""
+        return float(np.median(self.thickness))
+
+    @cached_property
     def nodes(self) -> Array:
         """Reference node positions, shape (3, nz + 1, ny + 1, nx + 1), mm."""
         nodes = np.empty((3, *self.node_shape))
@@ -91,7 +96,7 @@ class LayerGrid:
     def spacing(self) -> tuple[float, float, float]:
         """Typical (median) element sizes (z, y, x), mm."""
         return (
-            float(np.median(np.diff(self.depth)) * np.median(self.thickness)),
+            float(np.median(np.diff(self.depth))) * self.typical_thickness,
             float(np.median(np.diff(self.y))),
             float(np.median(np.diff(self.x))),
         )

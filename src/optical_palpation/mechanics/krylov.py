@@ -45,7 +45,7 @@ class MultigridSolver:
     def __init__(self, grid: LayerGrid, shear_modulus: float, free_sides: bool) -> None:
         self.gamma = _GAMMA * shear_modulus
         self.shear_modulus = shear_modulus
-        depth = grid.depth * float(np.median(grid.thickness))
+        depth = grid.depth * grid.typical_thickness
         self.hierarchy = Hierarchy((depth, grid.y, grid.x))
         self.schur = SchurComplement(grid.shape, grid.spacing, shear_modulus, self.gamma)
         self.lubrication = Lubrication(depth, grid.y, grid.x, free_sides, shear_modulus)

@@ -217,7 +217,7 @@ def side_contact(
     """
     rubs = np.where(problem.glued, 0.0, problem.friction)
     touch = _touching(problem, state)
-    grid, height = problem.grid, float(np.median(problem.grid.thickness))
+    grid, height = problem.grid, problem.grid.typical_thickness
     elastic = float(node_stiffness(problem.shear_modulus, grid.spacing[0] ** 2, height))
     return _contact(grid, problem.side_facets, touch, rubs, problem.slip_length, elastic, slip)
 
@@ -237,7 +237,7 @@ def _touching(problem: LayerProblem, state: LayerState) -> _Touch:
     pressed_evenly = problem.imprint.evaluate(unloaded[0], unloaded[1], state.load)[0]
     depth = np.broadcast_to(facets.depth, facets.area.shape)[:, near]
     gap = share * pressed_evenly * np.minimum(np.stack([depth, 1 - depth]), outermost)
-    spring = PENALTY * problem.shear_modulus / (outermost * np.median(grid.thickness))
+    spring = PENALTY * problem.shear_modulus / (outermost * grid.typical_thickness)
     hx, hy, hxx, hxy, hyy = slopes
     flat, one = np.zeros_like(hx), np.ones_like(hx)
     return _touch(
@@ -280,7 +280,7 @@ class PlaneSides:
         """
         grid, facets, sign = self.body.grid, self.facets, self.sign
         outermost = outermost_height(grid)[0 if sign < 0 else 1]
-        thickness = float(np.median(grid.thickness))
+        thickness = grid.typical_thickness
         z = (self.body.nodes[2] + u[2])[*facets.nodes]
         near = (sign * (z - height)).max(0) > -GAP * outermost * np.max(grid.thickness)
         unloaded = facets.at_points(self.body.nodes, near)[2]

@@ -49,7 +49,7 @@ def part_of(
     bounds
         x0, x1, y0, y1 of the part in the unloaded layer, mm; widened to whole elements.
     """
-    thickness = float(np.median(coarse.grid.thickness))
+    thickness = coarse.grid.typical_thickness
     surroundings = Surroundings(
         coarse.grid,
         state.u,

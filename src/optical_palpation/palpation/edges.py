@@ -182,7 +182,7 @@ def _coarse(
     Its sides are free, roller or padded.
     """
     x0, x1, y0, y1 = field
-    thickness = float(np.median(problem.grid.thickness))
+    thickness = problem.grid.typical_thickness
     x, y = (node_positions(b - a, size, a, edge=_SIDE * thickness) for a, b in ((x0, x1), (y0, y1)))
     if sides == "padded":
         x, y = (padded_nodes(nodes, PADDING * thickness) for nodes in (x, y))

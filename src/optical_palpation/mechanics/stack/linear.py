@@ -162,7 +162,7 @@ class StackSolver:
         self.facing = (self.shapes[0][0] - 1, 0)
         y, along_y = _merged(grids[0].y, grids[1].y)
         x, along_x = _merged(grids[0].x, grids[1].x)
-        heights = [grid.depth * float(np.median(grid.thickness)) for grid in grids]
+        heights = [grid.depth * grid.typical_thickness for grid in grids]
         z = np.concatenate([heights[0], heights[0][-1] + heights[1][1:]])
         #: Where the nodes of each body lie in the grid of both glued together.
         self.places = [

@@ -81,7 +81,7 @@ class Stack:
         """How the slaves of each contact resist being moved sideways, (n), mN / mm, about."""
 
         def alone(body: Body, area: Array) -> Array:
-            height = float(np.median(body.grid.thickness))
+            height = body.grid.typical_thickness
             return node_stiffness(body.median_shear_modulus, area, height)
 
         (layer, sample), (at_window, between, at_plate) = self.bodies, self.areas

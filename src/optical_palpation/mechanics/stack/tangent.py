@@ -216,7 +216,7 @@ def shape_forces(body: Body, u: Array, p: Array) -> tuple[Array, Array]:
     """
     grid, top = body.grid, np.broadcast_to(body.top, body.grid.thickness.shape)
     ny1, nx1 = top.shape
-    step = _SHAPE_STEP * float(np.median(grid.thickness))
+    step = _SHAPE_STEP * grid.typical_thickness
     start = body.forces(u, p)
     ratio = start.volume / start.reference_volume
 
