@@ -19,6 +19,9 @@ R = TypeVar("R")
 
 _SHOWN = 60  # characters of a value
 
+#: Coefficient of friction that no interface exceeds; a layer that cannot slip is glued.
+LARGEST_FRICTION = 2.0
+
 
 def check_instance(value: object, kinds: Any, name: str, what: str) -> None:
     """Refuse a value that is of none of some types.

@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from optical_palpation.arguments import number, numbers
+from optical_palpation.arguments import LARGEST_FRICTION, number, numbers
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.files import netcdf, replacing
 from optical_palpation.material import Law
@@ -36,8 +36,6 @@ _PRELOAD_SLIP = 3e-4
 # Under the small step it slips by less than the step: as shares of the step, a half gives an
 # incremental profile off by 0.05, a fiftieth by 0.005. Each share starts from the one before.
 _STEP_SLIPS = (0.5, 0.1, 0.02)
-#: Largest coefficient of friction that a study takes.
-_LARGEST = 2.0
 
 
 def slab_profile(
@@ -213,9 +211,10 @@ def calibration_curves(
     if len(values) < 2 or any(b <= a for a, b in pairwise(values)):
         raise InputError(f"friction = {values}: give at least two coefficients, increasing")
     for mu in (*values, number(sample_friction, "sample_friction", "a coefficient of friction")):
-        if not 0.0 <= mu <= _LARGEST:
+        if not 0.0 <= mu <= LARGEST_FRICTION:
             raise InputError(
-                f"friction = {mu:g}: coefficients lie between 0 and {_LARGEST:g}, as in a study"
+                f"friction = {mu:g}: coefficients lie between 0 and {LARGEST_FRICTION:g}, "
+                "as in a study"
             )
     depth = np.linspace(0.0, 1.0, 41)
     profile = partial(

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
-from optical_palpation.arguments import check_instance, choice, explained, flag
+from optical_palpation.arguments import LARGEST_FRICTION, check_instance, choice, explained, flag
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import Law
 from optical_palpation.mechanics.cascade import (
@@ -347,10 +347,10 @@ def _check_numbers(
             raise InputError(
                 f'{face}_friction must be a number of at least 0 or "glued", not {value!r}'
             )
-        if value > 2:
+        if value > LARGEST_FRICTION:
             raise InputError(
-                f"{face}_friction is {value:g}: no interface has a coefficient above 2; a layer "
-                'that cannot slip is "glued"'
+                f"{face}_friction is {value:g}: no interface has a coefficient above "
+                f'{LARGEST_FRICTION:g}; a layer that cannot slip is "glued"'
             )
     choice(edges, "edges", "free", "roller", "padded")
     if smoothing is not None and not (_is_number(smoothing) and smoothing >= 0):

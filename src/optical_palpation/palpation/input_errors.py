@@ -9,11 +9,9 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 import xarray as xr
 
-from optical_palpation.arguments import explained_fields
+from optical_palpation.arguments import LARGEST_FRICTION, explained_fields
 from optical_palpation.errors import InputError
 
-#: Largest coefficient of friction that an interface has.
-_FRICTION = 2.0
 #: Inputs that there are only with the sample in the model.
 OF_SAMPLE = ("plate_friction", "compression", "sample_thickness", "total_force")
 
@@ -102,10 +100,10 @@ class InputErrors:
                     "is 0.05"
                 )
         for name in ("window_friction", "sample_friction", "plate_friction"):
-            if (value := getattr(self, name)) > _FRICTION:
+            if (value := getattr(self, name)) > LARGEST_FRICTION:
                 raise InputError(
-                    f"error of {name}: no interface has a coefficient above {_FRICTION:g}, nor an "
-                    f"error of {value!r}"
+                    f"error of {name}: no interface has a coefficient above "
+                    f"{LARGEST_FRICTION:g}, nor an error of {value!r}"
                 )
 
     def check_thickness(self, thickness: float) -> None:

@@ -18,6 +18,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from optical_palpation.arguments import LARGEST_FRICTION
 from optical_palpation.material import Law, make_law
 from optical_palpation.palpation.accuracy import HIGHEST, LOWEST
 from optical_palpation.palpation.input_errors import INPUT_ERRORS, InputErrors
@@ -30,7 +31,7 @@ Range = Annotated[tuple[float, float], Strict(False)]
 Three = Annotated[tuple[Positive, Positive, Positive], Strict(False)]
 Extent = Annotated[tuple[float, float, float, float], Strict(False)]
 Output = Literal["panel", "vtk", "profiles", "report"]
-Coefficient = Annotated[float, Field(ge=0, le=2)]
+Coefficient = Annotated[float, Field(ge=0, le=LARGEST_FRICTION)]
 Hold = Coefficient | Literal["glued"]
 
 

@@ -20,6 +20,7 @@ from qtpy.QtWidgets import (
 )
 
 from optical_palpation.analysis import compare_results
+from optical_palpation.arguments import LARGEST_FRICTION
 from optical_palpation.errors import InputError, OpticalPalpationError
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.present import read_result
@@ -75,8 +76,8 @@ class Solving(QGroupBox):
             "material.c01": Number(-1e5, 1e5, (0.0, 10.0), "kPa"),
             "material.c20": Number(-1e5, 1e5, (-1.0, 1.0), "kPa"),
             "material.c30": Number(-1e5, 1e5, (-1.0, 1.0), "kPa"),
-            "friction.window": Number(0.0, 2.0, (0.0, 1.0), word="glued"),
-            "friction.sample": Number(0.0, 2.0, (0.0, 1.0), word="glued"),
+            "friction.window": Number(0.0, LARGEST_FRICTION, (0.0, 1.0), word="glued"),
+            "friction.sample": Number(0.0, LARGEST_FRICTION, (0.0, 1.0), word="glued"),
             "grid.element_size": Number(0.001, 10.0, (0.05, 0.5), "mm", 4),
         }
         labels = {"window": "friction, window", "sample": "friction, sample"}
