@@ -85,9 +85,6 @@ _ROUGH = 8
 #: iterations that take as long as what the exact one does besides; most iterations after which a
 #: system is solved exactly, and the systems in a row that then are.
 _ITERATION, _BESIDES, _LONG, _ROW = 2e4, 6, 40, 3
-#: Iterations that take as long as a system with its preconditioner. Columns that are solved alone
-#: take exact solutions that take no longer: half as many steps lead to equilibrium.
-_SYSTEM = 25
 #: Margin, in columns, around those that are brought into equilibrium alone: at first, by how much
 #: it grows where that leaves more than half of the time before out of balance, and the most.
 _MARGIN, _WIDER, _WIDEST = 3, 2, 12
@@ -312,7 +309,7 @@ class Solvers:
     ) -> Direction[Balance]:
         """Return where fractions of a Newton step lead."""
         if self.row == 0:
-            long = min(_iterations(self.exact), _LONG)
+            long = min(_BESIDES + int(self.exact.work / _ITERATION), _LONG)
             quickly = replace(tolerances, krylov=min(long, tolerances.krylov))
             try:
                 return _newton_step(problem, now, self.iterative, quickly, damping)
@@ -320,19 +317,6 @@ class Solvers:
                 self.row = _ROW
         self.row -= 1
         return _newton_step(problem, now, self.exact, tolerances, damping)
-
-
-def _iterations(exact: DirectSolver) -> int:
-    """How many iterations of the linear solver take as long as an exact solution."""
-    return _BESIDES + int(exact.work / _ITERATION)
-
-
-def _solver_of_part(problem: LayerProblem) -> LinearSolver | Solvers:
-    exact = direct_solver(problem)
-    if _iterations(exact) <= _SYSTEM:
-        return exact
-    free = problem.edges == "free"
-    return Solvers(MultigridSolver(problem.grid, problem.shear_modulus, free), exact)
 
 
 @dataclass
@@ -400,8 +384,11 @@ class _Elimination:
         )
         if met(now, wanted):
             return state
+        free = problem.edges == "free"
+        iterative = MultigridSolver(problem.grid, problem.shear_modulus, free)
+        solver = Solvers(iterative, direct_solver(problem))
         try:
-            found = equilibrate(problem, own, _solver_of_part(problem), wanted, drag=drag)[0]
+            found = equilibrate(problem, own, solver, wanted, drag=drag)[0]
         except NotConverged as failure:
             if not self.due.carried or failure.nearest is None:
                 return state
