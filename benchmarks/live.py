@@ -66,8 +66,8 @@ def changes(count):
         yield dict(now)
 
 
-def solve(loaded, size, given, threads):
-    """The map of these parameters, from the unloaded layer."""
+def solve(loaded, size, given, threads, similar=None):
+    """The map of these parameters, guided by the layer solved before or not."""
     return computational_stress(
         loaded,
         given["thickness"],
@@ -79,6 +79,7 @@ def solve(loaded, size, given, threads):
         mesh_check=False,  # as the plugin does
         edge_check=False,
         input_errors=None,
+        similar=similar,
     )
 
 

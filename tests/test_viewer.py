@@ -398,17 +398,17 @@ def test_what_was_drawn_since_counts_for_the_stress_and_ends_with_its_volume(
 ):
     bench, solving = panel.bench, panel.solving
     panel.open_study(str(study))
-    solving.solve(estimates=False)  # finds the layer, too
+    solving.solve(live=True)  # finds the layer, too
     wait_idle(panel)
     found, before = dict(bench.seen), bench.result
     assert set(found) == {"loaded", "unloaded"}
     assert not any(it.visible for it in bench.layers("boundary"))
-    solving.solve(estimates=False)
+    solving.solve(live=True)
     wait_idle(panel)
     assert bench.seen["loaded"] is found["loaded"]  # nothing was drawn
     panel.correction.exclude()
     drag(viewer, (0.5, 0.7), (0.9, 1.1))
-    solving.solve(estimates=False)
+    solving.solve(live=True)
     wait_idle(panel)
     assert bench.seen["loaded"] is not found["loaded"]
     assert bench.seen["unloaded"] is found["unloaded"]
@@ -521,7 +521,7 @@ def test_the_extent_of_the_layer_is_typed_and_kept(panel, study, tmp_path):
     panel.open_study(str(study))
     fields = panel.measurement.extent
     assert [field.text() for field in fields.values()] == [""] * 4
-    panel.solving.solve(estimates=False)
+    panel.solving.solve(live=True)
     wait_idle(panel)
     whole = panel.bench.result.maps
     assert "layer" not in panel.bench.session.tables
@@ -530,7 +530,7 @@ def test_the_extent_of_the_layer_is_typed_and_kept(panel, study, tmp_path):
     assert "four numbers of mm, x0, x1, y0, y1" in panel.message.text()
     for edge, text in {"x1": "1.2", "y0": "0.15", "y1": "1.05"}.items():
         fields[edge].setText(text)
-    panel.solving.solve(estimates=False)
+    panel.solving.solve(live=True)
     wait_idle(panel)
     part = panel.bench.result.maps
     assert not whole["axial_stress"].equals(part["axial_stress"])
@@ -555,12 +555,19 @@ def test_the_extent_of_the_layer_is_typed_and_kept(panel, study, tmp_path):
     wait(lambda: panel.bench.result is not before and not panel.bench.background.is_busy)
     assert panel.bench.session.tables["layer"] == {}
     again = panel.bench.result.maps["axial_stress"]
+    assert np.allclose(again, whole["axial_stress"], rtol=0.005, atol=0.005, equal_nan=True)
+    assert "Solve computes it anew" in panel.solving.outcome.text()
+    panel.solving.live.setChecked(False)
+    panel.solving.solve()
+    wait_idle(panel)
+    again = panel.bench.result.maps["axial_stress"]
     assert np.array_equal(again.values, whole["axial_stress"].values)
+    assert "Solve computes it anew" not in panel.solving.outcome.text()
 
 
 def test_regions_that_are_loaded_come_to_those_that_were_drawn(panel, study, tmp_path):
     panel.open_study(str(study))
-    panel.solving.solve(estimates=False)
+    panel.solving.solve(live=True)
     wait_idle(panel)
     maps = panel.bench.result.maps
     panel.regions.draw("add_ellipse")
@@ -640,7 +647,7 @@ def test_a_result_is_compared_with_another(panel, study, tmp_path, monkeypatch):
     (shown,) = (it for it in panel.bench.layers("map") if it.name == "Difference (kPa)")
     assert np.nanmax(np.abs(shown.data)) < 1e-6
     # it is one with a stress that is shown
-    panel.solving.solve(estimates=False)
+    panel.solving.solve(live=True)
     wait_idle(panel)
     assert not [it for it in panel.bench.layers("map") if it.name in names]
 
@@ -682,7 +689,7 @@ def test_volumes_of_other_readers_are_named_with_what_to_do(panel, viewer):
 
 def test_the_map_that_is_seen_is_named_and_not_under_its_colour_bar(panel, study):
     panel.open_study(str(study))
-    panel.solving.solve(estimates=False)
+    panel.solving.solve(live=True)
     wait_idle(panel)
     bench, viewer = panel.bench, panel.bench.viewer
     text = viewer.canvas.overlays.text

@@ -26,6 +26,7 @@ from .neighbours import Neighbours
 from .newton import CARRIED, Balance, LinearSolver, LoadedLayer, Solvers, balance, equilibrate
 from .path import NEARLY, Guide, LoadNotReached, Path, StepControl
 from .problem import LayerProblem, LayerState
+from .similar import Similar
 from .untangle import untangled
 
 Array = NDArray[np.float64]
@@ -201,6 +202,7 @@ def solve(
     tolerances: Tolerances | None = None,
     control: StepControl | None = None,
     neighbours: Neighbours | None = None,
+    similar: Similar | None = None,
     on_iteration: Callable[[LayerProblem, float, int, Balance, int], None] | None = None,
 ) -> Solution:
     """Solve the layer problem at full load.
@@ -215,6 +217,8 @@ def solve(
         Follow the load path on a coarse grid first (else on the grid itself).
     neighbours
         To be followed beside it where the grid of the load path is small enough.
+    similar
+        The layer solved before this one, which guides it; this one takes its place.
 
     Raises
     ------
@@ -229,6 +233,7 @@ def solve(
         tolerances or TOLERANCES,
         control or StepControl(),
         neighbours,
+        similar,
         on_iteration,
     )
     return nested.solved(grids(problem) if cascade else [problem])
@@ -248,9 +253,11 @@ class _Nested:
     tolerances: Tolerances
     control: StepControl
     neighbours: Neighbours | None
+    similar: Similar | None
     on_iteration: Callable[[LayerProblem, float, int, Balance, int], None] | None
     record: list[tuple[int, float, int]] = field(default_factory=list, init=False)
     path: tuple[LayerProblem, list[LayerState]] | None = field(default=None, init=False)
+    own: Similar = field(default_factory=Similar, init=False)
 
     def __post_init__(self) -> None:
         least = min(self.tolerances, TOLERANCES, key=lambda wanted: wanted.force)
@@ -279,6 +286,8 @@ class _Nested:
                     raise OnlyOnCoarser(failure, instead) from None
             if state is not None:
                 found.append((n, state))
+        if self.similar is not None:
+            self.similar.become(self.own)
         return self._solution(levels, found)
 
     def _solution(
@@ -309,12 +318,19 @@ class _Nested:
 
         What is farther than ``_FAR`` from equilibrium would end with another friction.
         """
-        if balance(level, carried).force_error > _FAR:
+        error = balance(level, carried).force_error
+        if error > _FAR:
             return None
+        begin = carried
+        moved = self.similar.moved(level, carried) if self.similar else None
+        if moved and balance(level, moved).force_error < error:
+            begin = moved
         fine = level.grid.n_elements > _QUICK
         nearly = NEARLY[0] if fine else 0.0  # drag would take long, and bring it no nearer
-        nearest, reached = self._balanced(level, carried, self._wanted(level), nearly)
+        nearest, reached = self._balanced(level, begin, self._wanted(level), nearly)
         if reached:
+            if self.similar is not None:
+                self.own.settled(level, carried, nearest)
             return nearest
         return self._settled(level, nearest) if fine else None
 
@@ -369,6 +385,7 @@ class _Nested:
         if beside:
             beside.begin(level, begin, make_solver(level, self.solver))
         visited: list[LayerState] = []
+        keep = level is not self.problem or self.similar is not None
         path = Path(
             LoadedLayer(level, self._solvers(level)),
             self._wanted(level),
@@ -378,7 +395,8 @@ class _Nested:
             partial(self.on_iteration, level) if self.on_iteration else None,
             resting=self._rest(level),
             guide=guide,
-            visited=None if level is self.problem else visited,
+            similar=self.similar.guide(level) if self.similar and whole else None,
+            visited=visited if keep else None,
         )
         try:
             path.follow(full, beside=beside)
@@ -387,6 +405,8 @@ class _Nested:
                 beside.stop("the load was not reached")
             raise
         self.path = level, visited
+        if self.similar is not None and whole and path.smooth:
+            self.own.followed(level, visited)
         self.record += [(level.grid.n_elements, *step) for step in path.record]
         return path.state
 

@@ -51,6 +51,8 @@ _HELD = 50
 NEARLY = (1e-4, 1e-3, 0.02)
 #: How much of the last change the bound of friction follows: at first, the least and the most.
 _RELAXATION = (0.5, 0.1, 2.0)
+#: Smallest singular value of two ways, by the largest: what is less apart counts as one way.
+_ALIKE = 1e-3
 #: Iterations of the linear solver that a load may take: more of them cost more than a smaller one.
 _KRYLOV = 60
 
@@ -246,6 +248,10 @@ class Path(Generic[AnyState]):
     guide
         Tells what to try at the next load; by default that is on the straight line through the last
         two states.
+    similar
+        The path of something similar, which says that instead until it leads to no equilibrium:
+        from the second load on, that mixture of it and of the straight line which would have been
+        nearest at the load before.
     resting
         When bodies that came to the full load against drag are as good as at rest; by default as
         ``tolerances``.
@@ -266,13 +272,21 @@ class Path(Generic[AnyState]):
     before: AnyState | None = None
     resting: Tolerances | None = None
     guide: Guide[AnyState] | None = None
+    similar: Guide[AnyState] | None = None
     visited: list[AnyState] | None = None
     record: list[tuple[float, int]] = field(default_factory=list, init=False)
     spent: int = field(default=0, init=False)
+    _mixture: tuple[float, float] = field(default=(1.0, 0.0), init=False)  # guide, line
 
     def __post_init__(self) -> None:
         if self.visited is not None:
             self.visited.append(self.state)
+
+    @property
+    def smooth(self) -> bool:
+        """Whether every load was reached at the first try, and none of them was hard."""
+        counts = [count for _, count in self.record]
+        return sum(counts) == self.spent and max(counts, default=0) < self.control.hard
 
     def follow(
         self,
@@ -310,16 +324,23 @@ class Path(Generic[AnyState]):
             steps = np.ceil((end - start) / step - 1e-9)  # equal ones, not a small last one
             load = end if steps == 1 else start + float((end - start) / steps)
             exact = load == 1.0 or load in stops
-            if self.guide and failed == 0:
+            tried = list[AnyState]()
+            if self.guide and failed == 0 and not self.similar:
                 trial = self.guide(self.state, load)
             else:
                 trial = self.state.towards(full if self.before is None else self.before, load)
+            if self.similar:
+                tried = [self.similar(self.state, load), trial]
+                trial = self._mixed(tried)
             wanted = self.tolerances if exact else self.intermediate
             try:
                 now, count = self._reach(trial, replace(wanted, krylov=_KRYLOV, nearly=NEARLY[0]))
             except NotConverged as failure:
                 if self.spent > _FOLLOWED:
                     raise self._stopped(failure) from None
+                if self.similar:
+                    self.similar = None
+                    continue
                 smaller = 0.5 * (load - start)
                 if start == 0.0 and smaller > _TOUCH:
                     step = 0.5 * smaller
@@ -338,6 +359,8 @@ class Path(Generic[AnyState]):
                 continue
             if load in stops:
                 kept.append(now.state)
+            if tried and self.before is not None:
+                self._mix(tried, now.state)
             self._accept(self.loaded.remember(now.state) if load < 1.0 else now.state, count)
             failed = 0
             if beside:
@@ -435,6 +458,23 @@ class Path(Generic[AnyState]):
                     continue
                 self._accept(now.state, count)
                 return
+
+    def _mixed(self, tried: Sequence[AnyState]) -> AnyState:
+        """Go on from the present state by a mixture of what leads to two others."""
+        start = self.state
+        load = tried[0].load
+        mixed = start
+        for share, other in zip(self._mixture, tried, strict=True):
+            part = start.towards(other, start.load + share * (load - start.load))
+            mixed = mixed.following(start, part)
+        return mixed.at_load(load)
+
+    def _mix(self, tried: Sequence[AnyState], found: AnyState) -> None:
+        """Choose the mixture that would have been nearest to what was found."""
+        start = self.loaded.displacement(self.state).ravel()
+        ways = [self.loaded.displacement(state).ravel() - start for state in (*tried, found)]
+        by_guide, by_line = np.linalg.lstsq(np.stack(ways[:2], 1), ways[2], rcond=_ALIKE)[0]
+        self._mixture = float(by_guide), float(by_line)
 
     def _reach(
         self,

@@ -1,5 +1,6 @@
 """The two methods of optical palpation, and their common result."""
 
+from optical_palpation.mechanics.similar import Similar
 from optical_palpation.palpation.algebraic import algebraic_result, algebraic_stress
 from optical_palpation.palpation.computational import computational_stress
 from optical_palpation.palpation.input_errors import InputErrors
@@ -12,6 +13,7 @@ __all__ = [
     "ContactState",
     "InputErrors",
     "Progress",
+    "Similar",
     "StressResult",
     "algebraic_result",
     "algebraic_stress",

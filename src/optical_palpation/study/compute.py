@@ -11,7 +11,7 @@ from typing import Any
 
 import xarray as xr
 
-from optical_palpation.palpation import algebraic_result, computational_stress
+from optical_palpation.palpation import Similar, algebraic_result, computational_stress
 from optical_palpation.palpation.plausibility import check_stress
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.stiffness import sample_stress
@@ -126,6 +126,7 @@ def stress_of(
     progress: Callable[[Any], None] | None = None,
     *,
     estimates: bool | None = None,
+    similar: Similar | None = None,
 ) -> StressResult:
     """Tactile stress by the computational method, with the sample in the model if it is given.
 
@@ -141,6 +142,8 @@ def stress_of(
         Whether to estimate the errors by the mesh, the sides and the inputs, which takes longer
         than the stress of a small grid itself; by default as the study says. With the sample in
         the model those by noise and mesh are always estimated.
+    similar
+        As for that function; a sample in the model is not guided by it.
 
     Raises
     ------
@@ -181,6 +184,7 @@ def stress_of(
         edge_check=estimates,
         progress=progress,
         input_errors=input_errors,
+        similar=similar,
         **solver_settings(study, loaded),
     )
     return _with_thickness(result, thickness)

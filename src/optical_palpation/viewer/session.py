@@ -19,6 +19,7 @@ import xarray as xr
 
 from optical_palpation.errors import InputError, OutputError
 from optical_palpation.files import replacing
+from optical_palpation.palpation import Similar
 from optical_palpation.palpation.result import StressResult
 from optical_palpation.study import Progress, Study, find_boundaries, read_study
 from optical_palpation.study.compute import algebraic_of, stress_of, thickness_of
@@ -60,6 +61,7 @@ class Session:
         self._layers: dict[str, _Kept] = {}
         self._thickness: tuple[object, xr.Dataset] | None = None
         self._opened: Path | None = None
+        self._similar = Similar()
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Session:
@@ -238,16 +240,17 @@ class Session:
             self._thickness = made_from, thickness_of(study, found)
         return self._thickness[1]
 
-    def solve(self, progress: Tell | None = None, *, estimates: bool | None = None) -> StressResult:
+    def solve(self, progress: Tell | None = None, *, live: bool = False) -> StressResult:
         """Compute the stress of the study as it stands, from the unloaded layer.
 
         Parameters
         ----------
         progress
             As for :func:`~optical_palpation.study.run_study`.
-        estimates
-            Whether to estimate the errors by the mesh, the sides and the inputs, by default as
-            the study says; it changes nothing else.
+        live
+            Quickly, after a small change: guided by the layer solved before
+            (:class:`~optical_palpation.palpation.Similar`), and without the errors by the mesh, the
+            sides and the inputs.
 
         Raises
         ------
@@ -259,7 +262,11 @@ class Session:
         study = self.study()
         thickness = self.thickness(progress)
         algebraic_of(study, thickness)  # refuses what no layer can take, in no time
-        return stress_of(study, thickness, progress, estimates=estimates)
+        similar = self._similar if live else Similar()
+        estimates = False if live else None
+        result = stress_of(study, thickness, progress, estimates=estimates, similar=similar)
+        self._similar = similar
+        return result
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a study file that ``optical-palpation run`` repeats, corrections beside it.

@@ -142,8 +142,8 @@ class Solving(QGroupBox):
             changes["grid.element_size"] = size
         self._bench.session.change(changes)
 
-    def solve(self, estimates: bool | None = None) -> None:
-        """Compute the stress in the background, and show it."""
+    def solve(self, live: bool = False) -> None:
+        """Compute the stress in the background, and show it; `live` as in `Session.solve`."""
         bench = self._bench
         try:
             self.apply()
@@ -152,9 +152,7 @@ class Solving(QGroupBox):
             bench.said.emit(str(error))
             return
         session = bench.session
-        bench.background.run(
-            lambda tell: session.solve(tell, estimates=estimates), self._show_result
-        )
+        bench.background.run(lambda tell: session.solve(tell, live=live), self._show_result)
 
     def compare(self, path: str) -> None:
         """Show how the stress of another result differs from this one, on the points of this.
@@ -218,7 +216,7 @@ class Solving(QGroupBox):
 
     def _solve_if_live(self) -> None:
         if self.live.isChecked():
-            self.solve(estimates=False)
+            self.solve(live=True)
 
     def _show_law(self) -> None:
         used = _LAWS[self.law.currentText()]
@@ -281,4 +279,7 @@ def _in_words(result: StressResult) -> str:
     alone = f" (± by the {of} alone)" if (of := without_inputs(maps.attrs)) else ""
     figures += f"{alone}, {points}"
     warnings = [*warnings_about(result), of_unknown_sample(maps)]
-    return "\n".join([figures, *(f"Warning: {text}" for text in warnings if text)])
+    said = [figures, *(f"Warning: {text}" for text in warnings if text)]
+    if "guided_by_similar_layer" in maps.attrs:
+        said.append("Solved live, from the solution before; Solve computes it anew, with errors")
+    return "\n".join(said)
