@@ -66,12 +66,13 @@ def _alone_after_fork() -> None:
     nb.set_num_threads(1)
 
 
-def one_blas_thread() -> AbstractContextManager[Any]:
-    """Leave matrices that are too small for more to one thread of the linear algebra libraries.
+def blas_threads(number: int) -> AbstractContextManager[Any]:
+    """Hold the linear algebra libraries to so many threads.
 
-    On busy cores several wait for one another a hundred times as long as the work takes.
+    Small matrices take one: on busy cores several wait for one another a hundred times as long as
+    the work takes.
     """
-    return _libraries().limit(limits=1, user_api="blas")
+    return _libraries().limit(limits=number, user_api="blas")
 
 
 @cache

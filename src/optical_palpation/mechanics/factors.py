@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from optical_palpation.parallel import in_parallel, one_blas_thread
+from optical_palpation.parallel import blas_threads, in_parallel
 from optical_palpation.runtime.kernels import keep_kernels
 
 keep_kernels()
@@ -156,7 +156,7 @@ class Factors:
         components[unknowns] = np.arange(3)
         self._values = np.empty(self._fronts.factors[-1])
         # small products, of which many threads do one each
-        with one_blas_thread():
+        with blas_threads(1):
             _eliminate(
                 (matrix.indptr, matrix.indices, matrix.data),
                 (by_column.indptr, by_column.indices, by_column.data),
@@ -174,7 +174,7 @@ class Factors:
         for n, block in enumerate(work):
             part = rhs[order, n * width : (n + 1) * width]
             block[:, : part.shape[1]] = part
-        with one_blas_thread():
+        with blas_threads(1):
             _solve(self._fronts, self._values, work)
         out = np.empty((size, count))
         for n, block in enumerate(work):

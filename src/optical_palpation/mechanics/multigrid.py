@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from optical_palpation.parallel import one_blas_thread
+from optical_palpation.parallel import blas_threads
 
 from . import stencil as st
 from .direct import dense_matrix
@@ -175,7 +175,7 @@ class Hierarchy:
         coarsest = self.levels[-1]
         self._free = free
         dense = dense_matrix(st.expanded(coarsest.stencil, coarsest.node_shape[2]), free)
-        with one_blas_thread():
+        with blas_threads(1):
             self._lu = scipy.linalg.lu_factor(dense, check_finite=False)
 
     def cycle(self, b: Vector) -> Vector:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -406,12 +407,7 @@ def surface_maps(
         "traction_y": "traction on the sample side of the layer, y",
         "traction_z": "traction on the sample side of the layer, z",
     }
-    maps = xr.Dataset(
-        coords={
-            "y": ("y", y, {"units": "mm", "long_name": "lateral position y"}),
-            "x": ("x", x, {"units": "mm", "long_name": "lateral position x"}),
-        }
-    )
+    maps: dict[str, Any] = {}
     for name, text in units.items():
         values = at.read(surface[name])
         if name == "contact_pressure" and not glued:
@@ -430,16 +426,30 @@ def surface_maps(
                 **CONTACT_FLAGS,
             },
         )
-    maps["loaded_thickness"] = loaded.interp(x=x, y=y, kwargs={"fill_value": "extrapolate"})
     # Pixels beyond the layer have no stress: up to its border, go on from the last ones within.
     within = algebraic.dropna("x", how="all").dropna("y", how="all")
-    stress = within.interp(x=x, y=y, kwargs={"fill_value": "extrapolate"})
-    maps["algebraic_axial_stress"] = stress if glued else np.minimum(stress, 0.0)
-    for name in ("loaded_thickness", "algebraic_axial_stress"):
-        maps[name].attrs = {
-            "units": {"loaded_thickness": "mm"}.get(name, "kPa"),
-            "long_name": {"loaded_thickness": "loaded thickness of the layer"}.get(
-                name, "axial Cauchy stress, algebraic method"
-            ),
-        }
-    return maps
+    thickness, stress = (_at_points(field, y, x) for field in (loaded, within))
+    for name, values, unit, text in (
+        ("loaded_thickness", thickness, "mm", "loaded thickness of the layer"),
+        (
+            "algebraic_axial_stress",
+            stress if glued else np.minimum(stress, 0.0),
+            "kPa",
+            "axial Cauchy stress, algebraic method",
+        ),
+    ):
+        maps[name] = (("y", "x"), values, {"units": unit, "long_name": text})
+    axes = {
+        axis: (axis, at, {"units": "mm", "long_name": f"lateral position {axis}"})
+        for axis, at in (("y", y), ("x", x))
+    }
+    return xr.Dataset(maps, axes)
+
+
+def _at_points(field: xr.DataArray, y: Array, x: Array) -> Array:
+    """A map between its pixels, linearly, and beyond the last ones."""
+    from scipy.interpolate import RegularGridInterpolator  # slow to load
+
+    axes = field["y"].values, field["x"].values
+    between = RegularGridInterpolator(axes, field.values, bounds_error=False, fill_value=None)
+    return between(tuple(np.meshgrid(y, x, indexing="ij")))

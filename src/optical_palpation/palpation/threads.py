@@ -9,10 +9,9 @@ from contextlib import contextmanager
 from math import ceil
 
 import numba as nb
-from threadpoolctl import threadpool_limits
 
 from optical_palpation.palpation.memory import control_groups
-from optical_palpation.parallel import is_fork, launch_threads
+from optical_palpation.parallel import blas_threads, is_fork, launch_threads
 
 _ALONE = threading.RLock()
 
@@ -48,7 +47,7 @@ def limited_threads(threads: int | None = None) -> Iterator[int]:
         number = min(threads or available_threads(), available_threads(), before)
         nb.set_num_threads(number)
         try:
-            with threadpool_limits(number, user_api="blas"):
+            with blas_threads(number):
                 yield number
         finally:
             nb.set_num_threads(before)

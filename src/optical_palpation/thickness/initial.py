@@ -79,22 +79,23 @@ def match_initial_thickness(
     measured = inside & np.isfinite(loaded.values)
     if not measured.any():
         raise InputError("the loaded thickness is missing everywhere in the layer")
+    now, before = loaded.values[measured], values[measured]
     depth = float(np.median(values))
     check_depth(depth, "initial thickness")
-    check_depth(float(loaded.values[measured].max()), "loaded thickness")
-    _check_units(loaded, float(np.median(loaded.values[measured])), depth)
-    share = 0.0 if glued else float(np.mean(loaded.values[measured] >= values[measured]))
+    check_depth(float(now.max()), "loaded thickness")
+    _check_units(loaded, float(np.median(now)), depth)
+    share = 0.0 if glued else float(np.mean(now >= before))
     if share == 1.0:
         raise InputError(
-            f"the loaded thickness ({loaded.values[measured].min():g} mm or more) is nowhere below "
-            f"the initial thickness ({values[measured].max():g} mm at most): nothing is pressed. "
+            f"the loaded thickness ({now.min():g} mm or more) is nowhere below "
+            f"the initial thickness ({before.max():g} mm at most): nothing is pressed. "
             "Check the initial thickness and the length unit; only a glued sample can pull"
         )
-    rise = loaded.values[measured] - values[measured]
+    rise = now - before
     typical, pressed = float(np.median(rise)), -float(np.percentile(rise, 1))
     # An imprint that is computed may say how far the sample is from a flat layer where the two do
     # not touch; it presses the layer elsewhere.
-    uneven = _spread(values[measured]) > 0.5 * _spread(loaded.values[measured])
+    uneven = _spread(before) > 0.5 * _spread(now)
     measured_so = uneven or -float(rise.min()) < _PRESSED * depth
     if not glued and measured_so and typical > max(pressed, _RISE * depth):
         thinner = 1e3 * max(pressed, 0.0)
