@@ -47,7 +47,7 @@ from .faces import SHAPE, SLOPE, push_slope
 from .friction import friction_direction, look_ahead, node_stiffness, remembered
 from .grid import LayerGrid, contact_nodes, face_and_sides
 from .problem import SAMPLE, WINDOW, LayerProblem, LayerState
-from .side_contact import side_contact
+from .side_contact import SideContact, side_contact
 
 keep_kernels()
 
@@ -337,10 +337,12 @@ def turning_stiffness(surface, pressure, slope, out):
                     k[1, 2] -= v0
 
 
-def remember_slip(problem: LayerProblem, state: LayerState) -> None:
-    """Carry the friction state to the next load (in place)."""
+def remember_slip(
+    problem: LayerProblem, state: LayerState, sides: SideContact | None = None
+) -> None:
+    """Carry the friction state to the next load (in place); ``sides`` are its, if known."""
     w = slip_coordinate(problem, state)
-    rolled = side_contact(problem, state).normal_force > 0
+    rolled = (sides or side_contact(problem, state)).normal_force > 0
     touching = np.concatenate([state.touching(problem).reshape(2, -1), rolled], axis=1)
     state.slip = np.where(touching[:, None], remembered(w), 0.0)
     state.slip[list(problem.glued)] = 0.0

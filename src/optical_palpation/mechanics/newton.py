@@ -502,10 +502,10 @@ class LoadedLayer:
             eliminate=self.eliminate,
         )
 
-    def remember(self, state: LayerState) -> LayerState:
-        """Return the state, its reference slip laid."""
-        remember_slip(self.problem, state)
-        return state
+    def remember(self, now: Balance) -> LayerState:
+        """Return the state of a balance, its reference slip laid."""
+        remember_slip(self.problem, now.state, now.sides)
+        return now.state
 
 
 def equilibrate_by(

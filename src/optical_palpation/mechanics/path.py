@@ -141,8 +141,8 @@ class Loaded(Protocol[AnyState]):
         """Equilibrium at the load of ``trial``, and the Newton iterations; else NotConverged."""
         ...
 
-    def remember(self, state: AnyState) -> AnyState:
-        """Return the state from which the next load starts, its reference slip laid."""
+    def remember(self, now: Any) -> AnyState:
+        """Return the state of a balance, its reference slip laid: the next load starts there."""
         ...
 
 
@@ -361,7 +361,7 @@ class Path(Generic[AnyState]):
                 kept.append(now.state)
             if tried and self.before is not None:
                 self._mix(tried, now.state)
-            self._accept(self.loaded.remember(now.state) if load < 1.0 else now.state, count)
+            self._accept(self.loaded.remember(now) if load < 1.0 else now.state, count)
             failed = 0
             if beside:
                 beside.load(self.state)
@@ -421,7 +421,7 @@ class Path(Generic[AnyState]):
                 continue
             forces = loaded.contact_forces(now.state)
             share = self._force(drag, now.state) / max(_norm(forces), 1e-30)
-            self._accept(loaded.remember(now.state) if moves else now.state, count)
+            self._accept(loaded.remember(now) if moves else now.state, count)
             if count <= self.control.easy:
                 step *= 1.5
                 viscosity = max(_LEAST, (0.5 if load < end else 0.25) * viscosity)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from .imprint import Imprint
 from .path import Guide
 from .problem import LayerProblem, LayerState
 
@@ -24,6 +25,7 @@ class Similar:
 
     _paths: dict[_Key, tuple[float, list[LayerState]]] = field(default_factory=dict)
     _moves: dict[_Key, tuple[float, LayerState, LayerState]] = field(default_factory=dict)
+    _imprint: Imprint | None = None
 
     def __bool__(self) -> bool:
         """Whether there is anything that may guide a layer."""
@@ -45,6 +47,12 @@ class Similar:
         ratio = problem.shear_modulus / modulus
         return carried.following(*(_stiffer(state, ratio) for state in states))
 
+    def imprint(self, made: Imprint) -> Imprint:
+        """The imprint of the last layer if it is the same, and is smoothed already; else this."""
+        if self._imprint is None or not made.is_as(self._imprint):
+            self._imprint = made
+        return self._imprint
+
     def followed(self, problem: LayerProblem, path: list[LayerState]) -> None:
         """Remember a load path."""
         self._paths[_key(problem)] = problem.shear_modulus, path
@@ -54,7 +62,7 @@ class Similar:
         self._moves[_key(problem)] = problem.shear_modulus, carried, settled
 
     def become(self, other: Similar) -> None:
-        """Be what another one is."""
+        """Guide as another one does."""
         self._paths, self._moves = other._paths, other._moves
 
 

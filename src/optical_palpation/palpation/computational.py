@@ -228,7 +228,7 @@ def computational_stress(
                 f"view, {widest:g} mm, and would leave no relief (it is in mm)"
             )
     problem = layer_problem(
-        loaded, initial, motion, material, held, sizes, edges, smoothing, slip_length
+        loaded, initial, motion, material, held, sizes, edges, smoothing, slip_length, similar
     )
     check_memory(problem, solver)
 

@@ -18,6 +18,7 @@ from optical_palpation.mechanics.grid import (
 )
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.problem import SAMPLE, LayerProblem
+from optical_palpation.mechanics.similar import Similar
 from optical_palpation.thickness.frames import inside_layer, layer_extent_of, typical_thickness
 
 Array = NDArray[np.float64]
@@ -45,11 +46,13 @@ def layer_problem(
     edges: Edges,
     smoothing: float,
     slip_length: float,
+    similar: Similar | None = None,
 ) -> LayerProblem:
     """Mesh the layer and make the imprint; ``held`` says what holds ``window`` and ``sample``."""
     x0, x1, y0, y1 = layer_extent_of(loaded)
     thickness = typical_thickness(initial)
-    imprint = imprint_of(loaded, initial, motion, smoothing, beyond=edges == "free")
+    beyond = edges == "free"
+    imprint = imprint_of(loaded, initial, motion, smoothing, beyond=beyond, similar=similar)
     depth, nodes_y, nodes_x = layer_nodes((x0, x1, y0, y1), thickness, sizes, edges)
     unloaded = imprint.evaluate(*np.meshgrid(nodes_x, nodes_y), 0.0)[0]
     glued = held["window"] == "glued", held["sample"] == "glued"
@@ -72,6 +75,7 @@ def imprint_of(
     smoothing: float,
     *,
     beyond: bool,
+    similar: Similar | None = None,
 ) -> Imprint:
     """Make the imprint, mm, smoothed; ``beyond`` says whether pixels beyond the layer count.
 
@@ -90,6 +94,8 @@ def imprint_of(
         same = np.array_equal(x, field["x"]) and np.array_equal(y, field["y"])
         maps.append(field.values if same else field.interp(x=x, y=y).values)
     imprint = Imprint(x, y, maps[1], maps[0], maps[2] if motion is not None else None)
+    if similar is not None:
+        imprint = similar.imprint(imprint)
     return imprint.smoothed(smoothing) if smoothing > 0 else imprint
 
 

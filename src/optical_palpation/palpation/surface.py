@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 _FOLDED = 0.05
 #: Points along each side of an element at which it is decided what lies within a map.
 _SAMPLES = 4
+#: Iterations in a row in which no point of a map finds its material point, after which those that
+#: are left are looked for between the nodes.
+_ASTRAY = 5
 #: A node slips where friction has reached this share of its bound.
 SLIP_SHARE = 0.9
 
@@ -309,13 +312,14 @@ def material_points(
         here = np.clip(points, lower, upper)
         return sought - points - np.stack([by(here) for by in moved], -1)
 
-    for _ in range(40):
+    alike = 0  # iterations in a row after which as many were left
+    while left.size and alike < _ASTRAY:
         missed = off(reference[left], target[left])
         here = np.clip(reference[left], lower, upper)
         reference[left] += np.einsum("ncd,nd->nc", inverse(here), missed)
-        left = left[(np.abs(missed) > 1e-8 * (upper - lower)).any(-1)]
-        if not left.size:
-            break
+        still = (np.abs(missed) > 1e-8 * (upper - lower)).any(-1)
+        alike = alike + 1 if still.all() else 0
+        left = left[still]
     if left.size:  # where rows at a rim are nearly folded, the gradient leads astray
         other = _between_nodes(axes, np.stack([y, x], axis=-1), target[left])
         known = ~np.isnan(other).any(-1)

@@ -95,7 +95,7 @@ def match_initial_thickness(
     typical, pressed = float(np.median(rise)), -float(np.percentile(rise, 1))
     # An imprint that is computed may say how far the sample is from a flat layer where the two do
     # not touch; it presses the layer elsewhere.
-    uneven = _spread(before) > 0.5 * _spread(now)
+    uneven = isinstance(initial, xr.DataArray) and _spread(before) > 0.5 * _spread(now)
     measured_so = uneven or -float(rise.min()) < _PRESSED * depth
     if not glued and measured_so and typical > max(pressed, _RISE * depth):
         thinner = 1e3 * max(pressed, 0.0)

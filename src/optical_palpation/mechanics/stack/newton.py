@@ -287,8 +287,9 @@ class LoadedStack:
         """Equilibrium at the load of ``trial``, and the Newton iterations; else NotConverged."""
         return equilibrate(self.stack, trial, self.solver, tolerances, on_iteration, drag)
 
-    def remember(self, state: State) -> State:
+    def remember(self, now: Balance) -> State:
         """Return the state from which the next load starts: friction remembers, anchors move."""
+        state = now.state
         stack, position = self.stack, self.stack.position(state.u)
         contacts = tuple(
             remembered(projection, contact, position, scale, stack.slip_length)
