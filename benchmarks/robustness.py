@@ -291,7 +291,7 @@ def tables(outcomes: list[Outcome]) -> str:
         "relief": lambda c: c.relief,
         "holes": lambda c: "yes" if c.holes else "no",
         "edges": lambda c: c.edges,
-        "width / thickness": lambda c: _bin(c.field[0] / c.thickness, (5, 10, 20)),
+        "length / thickness": lambda c: _bin(max(c.field) / c.thickness, (10, 20, 50)),
         "compression": lambda c: _bin(c.compression, (0.15, 0.3, 0.4)),
         "greater friction": lambda c: (
             _bin(friction, (0.1, 0.3, 0.6))

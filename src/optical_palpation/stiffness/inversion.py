@@ -302,7 +302,7 @@ class _Search:
         #: along all axes as they are laterally. Through the depth they may not be: the misfit is
         #: then held to less than the error of the mesh.
         self.refinement = (coarse.layer.spacing[2] / fine.layer.spacing[2]) ** 2 - 1
-        self.thickness = float(np.median(fine.layer.thickness))
+        self.thickness = fine.layer.typical_thickness
 
     def on_coarse_mesh(self, row: Array) -> Array:
         """Steps on the coarse mesh, down to about the errors of that.

@@ -96,7 +96,7 @@ def sample_result(
             xr.Dataset({"algebraic_axial_stress": algebraic, "loaded_thickness": loaded})
         )
     maps = each[-1].copy()
-    thickness = float(np.median(model.layer.thickness))
+    thickness = model.layer.typical_thickness
     there = np.meshgrid(x, y)
     # What is known is known from the thickness above it, which answers to no more than its own
     # thickness around: beyond that smoothing alone makes a number.

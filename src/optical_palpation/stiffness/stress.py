@@ -407,7 +407,7 @@ def _check_fit(estimate: Estimate) -> None:
         Saying where it does not.
     """
     grid = estimate.pressed[-1].layer
-    thickness = float(np.median(grid.thickness))
+    thickness = grid.typical_thickness
     y, x = (
         np.minimum(nodes - nodes[0], nodes[-1] - nodes) >= thickness for nodes in (grid.y, grid.x)
     )
