@@ -67,27 +67,8 @@ class Imprint:
         unloaded, loaded = self._lowest
         return (1 - load) * unloaded + load * loaded
 
-    @cached_property
-    def _smoothed(self) -> dict[float, Imprint]:
-        return {}
-
     def smoothed(self, sigma: float) -> Imprint:
         """Return the imprint smoothed by a Gaussian of standard deviation ``sigma``, mm."""
-        if sigma not in self._smoothed:
-            self._smoothed[sigma] = self._by_gaussian(sigma)
-        return self._smoothed[sigma]
-
-    def is_as(self, other: Imprint) -> bool:
-        """Whether both are of the same maps."""
-
-        def maps(imprint: Imprint) -> list[Array]:
-            motion = [] if imprint.motion is None else [imprint.motion]
-            return [imprint.x, imprint.y, imprint.unloaded, imprint.loaded, *motion]
-
-        mine, its = maps(self), maps(other)
-        return len(mine) == len(its) and all(map(np.array_equal, mine, its))
-
-    def _by_gaussian(self, sigma: float) -> Imprint:
         widths = (sigma / (self.y[1] - self.y[0]), sigma / (self.x[1] - self.x[0]))
 
         def smooth(field: Array) -> Array:

@@ -6,7 +6,11 @@ other layer did only says where Newton's method begins at each load.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
 
 from .imprint import Imprint
 from .path import Guide
@@ -25,7 +29,7 @@ class Similar:
 
     _paths: dict[_Key, tuple[float, list[LayerState]]] = field(default_factory=dict)
     _moves: dict[_Key, tuple[float, LayerState, LayerState]] = field(default_factory=dict)
-    _imprint: Imprint | None = None
+    _imprint: _KeptImprint | None = None
 
     def __bool__(self) -> bool:
         """Whether there is anything that may guide a layer."""
@@ -49,8 +53,9 @@ class Similar:
 
     def imprint(self, made: Imprint) -> Imprint:
         """The imprint of the last layer if it is the same, and is smoothed already; else this."""
-        if self._imprint is None or not made.is_as(self._imprint):
-            self._imprint = made
+        of_maps = {it.name: getattr(made, it.name) for it in fields(made)}
+        if self._imprint is None or not self._imprint.has(of_maps):
+            self._imprint = _KeptImprint(**of_maps)
         return self._imprint
 
     def followed(self, problem: LayerProblem, path: list[LayerState]) -> None:
@@ -64,6 +69,25 @@ class Similar:
     def become(self, other: Similar) -> None:
         """Guide as another one does."""
         self._paths, self._moves = other._paths, other._moves
+
+
+@dataclass(frozen=True, eq=False)
+class _KeptImprint(Imprint):
+    """An imprint that keeps what it has been smoothed to."""
+
+    @cached_property
+    def _smoothed(self) -> dict[float, Imprint]:
+        return {}
+
+    def smoothed(self, sigma: float) -> Imprint:
+        """Return the imprint smoothed by a Gaussian of standard deviation ``sigma``, mm."""
+        if sigma not in self._smoothed:
+            self._smoothed[sigma] = super().smoothed(sigma)
+        return self._smoothed[sigma]
+
+    def has(self, maps: dict[str, Any]) -> bool:
+        """Whether these are its fields."""
+        return all(np.array_equal(getattr(self, name), of) for name, of in maps.items())
 
 
 def _key(problem: LayerProblem) -> _Key:
