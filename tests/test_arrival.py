@@ -168,8 +168,8 @@ class TouchesGently:
         self.reached.append(trial.load)
         return SimpleNamespace(state=trial), 3
 
-    def remember(self, state):
-        return state
+    def remember(self, now):
+        return now.state
 
 
 def test_before_anything_is_loaded_nothing_snaps():
@@ -198,8 +198,8 @@ class Flickers:
             raise failure
         return SimpleNamespace(state=trial), 3
 
-    def remember(self, state):
-        return state
+    def remember(self, now):
+        return now.state
 
     def contact_forces(self, state):
         return []
