@@ -385,7 +385,7 @@ class _Nested:
         if beside:
             beside.begin(level, begin, make_solver(level, self.solver))
         visited: list[LayerState] = []
-        keep = level is not self.problem or self.similar is not None
+        kept = self.similar is not None and whole  # guides the next layer
         path = Path(
             LoadedLayer(level, self._solvers(level)),
             self._wanted(level),
@@ -396,7 +396,7 @@ class _Nested:
             resting=self._rest(level),
             guide=guide,
             similar=self.similar.guide(level) if self.similar and whole else None,
-            visited=visited if keep else None,
+            visited=visited if kept or level is not self.problem else None,
         )
         try:
             path.follow(full, beside=beside)
@@ -405,7 +405,7 @@ class _Nested:
                 beside.stop("the load was not reached")
             raise
         self.path = level, visited
-        if self.similar is not None and whole and path.smooth:
+        if kept and path.smooth:
             self.own.followed(level, visited)
         self.record += [(level.grid.n_elements, *step) for step in path.record]
         return path.state
