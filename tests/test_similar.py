@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -46,7 +48,6 @@ def newton(result):
 @pytest.mark.parametrize("size", [0.25, 0.125])  # followed on one grid, and carried to another
 def test_a_guided_layer_has_its_own_stress_in_fewer_iterations(size):
     similar = Similar()
-    assert not similar
     first = solved(similar, size=size)
     assert off(first, solved(size=size)) == 0.0
     assert "guided_by_similar_layer" not in first.maps.attrs
@@ -74,6 +75,18 @@ def test_other_elements_are_solved_as_without_it():
     solved(similar)
     coarser = solved(similar, size=0.3)
     assert off(coarser, solved(size=0.3)) == 0.0
+    assert "guided_by_similar_layer" not in coarser.maps.attrs
+
+
+def test_what_a_guide_meets_at_once_takes_no_iteration():
+    similar = Similar()
+    solved(similar)
+    again = solved(similar)
+    *on_the_way, last = json.loads(again.maps.attrs["convergence"])
+    assert [load["newton"] for load in on_the_way] == [0] * len(on_the_way)
+    assert last["newton"] > 0
+    assert 0.0 < again.maps.attrs["force_residual"] < again.maps.attrs["force_tolerance"] == 1e-4
+    assert off(again, solved()) < 1e-4
 
 
 def test_a_row_of_changes_does_not_drift():

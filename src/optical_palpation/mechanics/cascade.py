@@ -35,6 +35,9 @@ Array = NDArray[np.float64]
 #: grids, and smaller loads. Where the last one is loose these are not: they would end on other
 #: branches.
 _COARSER, _ON_THE_WAY = 100.0, 300.0
+#: The same of a layer that is guided by a similar one. What the guide leaves of its own differs by
+#: more than that.
+_GUIDED = 10.0
 #: The load is followed on a grid of at most this share of the finest one's elements: it must not
 #: take longer than the finest. Below the first number that is not worth while; beyond the second,
 #: where a path begins does not change the result.
@@ -70,13 +73,16 @@ class Solution:
     """The loaded layer and the record of how it was reached.
 
     ``record`` lists (elements, load, Newton iterations) of every accepted equilibrium. ``coarser``
-    is the fully loaded layer on the next coarser grid, where it was solved there.
+    is the fully loaded layer on the next coarser grid, where it was solved there. ``tolerances``
+    are what the layer was to be brought to, ``guided`` says whether by a similar one.
     """
 
     problem: LayerProblem
     state: LayerState
     record: list[tuple[int, float, int]] = field(default_factory=list)
     coarser: tuple[LayerProblem, LayerState] | None = None
+    tolerances: Tolerances = TOLERANCES
+    guided: bool = False
 
     @property
     def newton_iterations(self) -> int:
@@ -218,7 +224,8 @@ def solve(
     neighbours
         To be followed beside it where the grid of the load path is small enough.
     similar
-        The layer solved before this one, which guides it; this one takes its place.
+        The layer solved before this one, which guides it; this one takes its place. It is then
+        brought to tolerances ten times looser by default.
 
     Raises
     ------
@@ -226,17 +233,20 @@ def solve(
         When the full load is not reached on the grid of the problem; as its subclass OnlyOnCoarser
         where it is on a coarser one.
     """
+    levels = grids(problem) if cascade else [problem]
+    guided = similar is not None and any(similar.guides(level) for level in levels)
     nested = _Nested(
         problem,
         bound_guess,
         solver,
-        tolerances or TOLERANCES,
+        tolerances or (relaxed(TOLERANCES, _GUIDED) if guided else TOLERANCES),
         control or StepControl(),
         neighbours,
         similar,
         on_iteration,
+        guided,
     )
-    return nested.solved(grids(problem) if cascade else [problem])
+    return nested.solved(levels)
 
 
 @dataclass
@@ -255,6 +265,7 @@ class _Nested:
     neighbours: Neighbours | None
     similar: Similar | None
     on_iteration: Callable[[LayerProblem, float, int, Balance, int], None] | None
+    guided: bool
     record: list[tuple[int, float, int]] = field(default_factory=list, init=False)
     path: tuple[LayerProblem, list[LayerState]] | None = field(default=None, init=False)
     own: Similar = field(default_factory=Similar, init=False)
@@ -298,7 +309,7 @@ class _Nested:
         coarser = None
         if len(found) > 1 and found[-2][0] == number + 1:
             coarser = levels[number + 1], found[-2][1]
-        return Solution(levels[number], state, self.record, coarser)
+        return Solution(levels[number], state, self.record, coarser, self.tolerances, self.guided)
 
     def _instead(
         self, levels: list[LayerProblem], found: list[tuple[int, LayerState]]

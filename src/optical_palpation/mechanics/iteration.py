@@ -30,8 +30,8 @@ class Tolerances:
         Out-of-balance nodal forces relative to the contact forces (both as 2-norms).
     volume
         Root mean square violation of J - 1 = p / K.
-    iterations
-        Newton iterations allowed at one load.
+    iterations, least
+        Newton iterations allowed at one load, and how many are made even where none is needed.
     linear
         Relative residual to which linear systems are solved (inexact Newton), in norms in which
         what contact springs take up counts by what it moves the body.
@@ -52,6 +52,7 @@ class Tolerances:
     patience: int = 12
     krylov: int = 1000
     nearly: float = 0.0
+    least: int = 1
 
 
 #: When bodies are in equilibrium.
@@ -127,7 +128,7 @@ def iterate(
     on_iteration: Callable[[int, AnyIterate, int], None] | None = None,
     eliminate: Callable[[AnyIterate, Sequence[float]], AnyIterate | None] | None = None,
 ) -> tuple[AnyIterate, int]:
-    """Go on from an iterate until the tolerances are met; one step is taken at least.
+    """Go on from an iterate until the tolerances are met.
 
     Parameters
     ----------
@@ -173,7 +174,7 @@ def iterate(
             left.append(now.force_error)
             if iteration >= patience and min(left[-patience:]) > 0.3 * left[-1 - patience]:
                 raise NotConverged("Newton's method stagnates")
-            if iteration > 0 and met(now, tolerances):
+            if iteration >= tolerances.least and met(now, tolerances):
                 return now, iteration
             krylov = 0
             for _ in range(_ATTEMPTS):

@@ -333,8 +333,11 @@ class Path(Generic[AnyState]):
                 tried = [self.similar(self.state, load), trial]
                 trial = self._mixed(tried)
             wanted = self.tolerances if exact else self.intermediate
+            # on the way, what is near enough already is left as the similar path suggests it
+            least = 0 if tried and not exact else wanted.least
+            wanted = replace(wanted, krylov=_KRYLOV, nearly=NEARLY[0], least=least)
             try:
-                now, count = self._reach(trial, replace(wanted, krylov=_KRYLOV, nearly=NEARLY[0]))
+                now, count = self._reach(trial, wanted)
             except NotConverged as failure:
                 if self.spent > _FOLLOWED:
                     raise self._stopped(failure) from None
@@ -359,7 +362,7 @@ class Path(Generic[AnyState]):
                 continue
             if load in stops:
                 kept.append(now.state)
-            if tried and self.before is not None:
+            if tried and count > 0 and self.before is not None:
                 self._mix(tried, now.state)
             self._accept(self.loaded.remember(now) if load < 1.0 else now.state, count)
             failed = 0

@@ -31,9 +31,9 @@ class Similar:
     _moves: dict[_Key, tuple[float, LayerState, LayerState]] = field(default_factory=dict)
     _imprint: _KeptImprint | None = None
 
-    def __bool__(self) -> bool:
-        """Whether there is anything that may guide a layer."""
-        return bool(self._paths or self._moves)
+    def guides(self, problem: LayerProblem) -> bool:
+        """Whether the last layer was loaded on the grid of a problem, or carried to it."""
+        return _key(problem) in self._paths or _key(problem) in self._moves
 
     def guide(self, problem: LayerProblem) -> Guide[LayerState] | None:
         """The load path of the last layer on the grid of a problem, if it was followed there."""

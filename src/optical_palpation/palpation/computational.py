@@ -22,7 +22,7 @@ from optical_palpation.mechanics.cascade import (
     Solution,
     solve,
 )
-from optical_palpation.mechanics.iteration import TOLERANCES, Iterate, met
+from optical_palpation.mechanics.iteration import TOLERANCES, Iterate, Tolerances, met
 from optical_palpation.mechanics.newton import Balance, balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.side_contact import side_contact
@@ -138,9 +138,10 @@ def computational_stress(
     similar
         Where many similar layers are solved one after the other: the last of them, which says where
         Newton's method begins at each load. Each is loaded from rest all the same, and its result
-        is that without it but for what the tolerances leave, at most 0.5 % of the stress
-        (`docs/live.md`). This layer takes its place. The attribute ``guided_by_similar_layer`` says
-        so in the result.
+        is that without it but for what the tolerances leave, mostly less than 0.5 % of the stress
+        (`docs/live.md`). These are ten times looser at the full load, and a load on the way at
+        which the guide meets them is left as it suggests. This layer takes its place. The attribute
+        ``guided_by_similar_layer`` says so in the result.
     progress
         Called with a :class:`Progress` now and then.
 
@@ -237,7 +238,7 @@ def computational_stress(
     )
     report = Iterations(progress)
     report.stage("preparing", 0.0)
-    asked, failed, guided = problem, "", bool(similar)
+    asked, failed = problem, ""
     try:
         with limited_threads(threads):
             solution = solve(
@@ -295,7 +296,7 @@ def computational_stress(
         **outcome(solution, now),
         **force_on_map(maps, surface),
     }
-    if guided:
+    if solution.guided:
         maps.attrs["guided_by_similar_layer"] = 1
     if failed:
         maps.attrs |= {
@@ -428,19 +429,19 @@ def outcome(solution: Solution, now: Balance) -> dict[str, Any]:
             ]
         ),
         "volume_change_percent": 100 * float(now.volume.sum() / now.volume_ref.sum() - 1),
-        **residuals(now),
+        **residuals(now, solution.tolerances),
         "sides_force_share": float(sides.max()) / max(abs(window), 1e-30),
     }
 
 
-def residuals(now: Iterate) -> dict[str, Any]:
+def residuals(now: Iterate, tolerances: Tolerances = TOLERANCES) -> dict[str, Any]:
     """Attributes that say how near to equilibrium a solution is, of one body or of two."""
     return {
-        "status": str(Status.CONVERGED if met(now, TOLERANCES) else Status.NEARLY),
+        "status": str(Status.CONVERGED if met(now, tolerances) else Status.NEARLY),
         "force_residual": now.force_error,
-        "force_tolerance": TOLERANCES.force,
+        "force_tolerance": tolerances.force,
         "volume_residual": now.volume_error,
-        "volume_tolerance": TOLERANCES.volume,
+        "volume_tolerance": tolerances.volume,
         "smallest_volume_ratio": now.min_jacobian,
     }
 
