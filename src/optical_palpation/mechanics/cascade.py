@@ -23,7 +23,7 @@ from .iteration import TOLERANCES, NotConverged, Tolerances, impatient, relaxed
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .neighbours import Neighbours
-from .newton import CARRIED, Balance, LinearSolver, LoadedLayer, Solvers, balance, equilibrate
+from .newton import CARRIED, SLOW, Balance, LinearSolver, LoadedLayer, Solvers, balance, equilibrate
 from .path import NEARLY, Guide, LoadNotReached, Path, StepControl
 from .problem import LayerProblem, LayerState
 from .similar import Similar
@@ -398,7 +398,7 @@ class _Nested:
         visited: list[LayerState] = []
         kept = self.similar is not None and whole  # guides the next layer
         path = Path(
-            LoadedLayer(level, self._solvers(level)),
+            LoadedLayer(level, self._solvers(level), CARRIED if self.guided else SLOW),
             self._wanted(level),
             self._on_the_way,
             begin,

@@ -115,8 +115,9 @@ class Due:
     carried: bool
 
 
-#: Where Newton's method is slow, and in a layer that was carried over to a fine grid, where an
-#: iteration of the whole takes as long as many of a small part.
+#: Where Newton's method is slow; and in a layer that was carried over to a fine grid, where an
+#: iteration of the whole takes as long as many of a small part, or that is guided by a similar one,
+#: from which a few columns of the rim are soon all that differs.
 SLOW = Due(4, 2, 0.5, 0.35, carried=False)
 CARRIED = Due(2, 1, 0.1, 0.06, carried=True)
 
