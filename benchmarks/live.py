@@ -4,8 +4,9 @@
     python benchmarks/live.py --changes 5  quicker; writes nothing
 
 Parameters of a coin's map (``../shared/data`` where it is, else one that is made) change one after
-the other, 50 times: both frictions, the material, the thickness of the unloaded layer. Each map is
-compared with that from scratch. Then as many maps arrive in a watched folder.
+the other, 50 times: both frictions, the material, the thickness of the unloaded layer. Each is
+first set to anywhere in its range, then dragged to such places in ten steps. Each map is compared
+with that from scratch. Then as many maps arrive in a watched folder.
 """
 
 from __future__ import annotations
@@ -26,6 +27,14 @@ from optical_palpation.thickness import thickness_map, write_thickness_map
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "live.md"
 BEGIN, END = "<!-- measured by benchmarks/live.py -->", "<!-- end -->"
 SIZES = 0.25, 0.125  # mm
+START = {"window": 0.15, "sample": 0.1, "c10": 2.23, "thickness": performance.THICKNESS}
+STEPS = 10  # in which a parameter is dragged
+GUIDED = (
+    "guided: median (s)",
+    "90 % below (s)",
+    "from scratch: median (s)",
+    "largest difference",
+)
 
 STUDY = """
 [unloaded]
@@ -49,9 +58,9 @@ def coin():
 
 
 def changes(count):
-    """Parameters after each of `count` changes of one of them."""
+    """Parameters after each of `count` changes of one of them to anywhere in its range."""
     random = np.random.default_rng(7)
-    now = {"window": 0.15, "sample": 0.1, "c10": 2.23, "thickness": performance.THICKNESS}
+    now = dict(START)
     ranges = {
         "window": (0.05, 0.4),
         "sample": (0.02, 0.3),
@@ -62,6 +71,15 @@ def changes(count):
         key = random.choice(list(ranges))
         now[key] = round(float(random.uniform(*ranges[key])), 4)
         yield dict(now)
+
+
+def dragged(count):
+    """Parameters after each of `count` small changes: as above, but in steps."""
+    before = START
+    for after in changes(-(-count // STEPS)):
+        for part in np.linspace(0, 1, STEPS + 1)[1:]:
+            yield {key: (1 - part) * before[key] + part * after[key] for key in after}
+        before = after
 
 
 def solve(loaded, size, given, threads, similar=None):
@@ -81,11 +99,11 @@ def solve(loaded, size, given, threads, similar=None):
     )
 
 
-def chain(loaded, size, count, threads):
+def chain(loaded, size, changed, threads):
     """Seconds of each change, guided and from scratch in turns; largest difference; elements."""
-    solve(loaded, size, next(changes(1)), threads, similar := Similar())  # kernels
+    solve(loaded, size, START, threads, similar := Similar())  # kernels
     guided, scratch, off = [], [], []
-    for given in changes(count):
+    for given in changed:
         results = []
         for seconds, by in (guided, similar), (scratch, None):
             start = time.perf_counter()
@@ -146,29 +164,32 @@ def table(count, threads):
     """The table of the page, in Markdown."""
     loaded = coin()
     load, workers = psutil.getloadavg()[0], len(psutil.Process().cpu_affinity())
-    columns = (
-        "elements",
-        "change of one parameter: median (s)",
-        "90 % below (s)",
-        "from scratch: median (s)",
-        "largest difference from that",
-        "map in a folder: median (s)",
-        f"maps a second in a folder, {workers} workers",
-    )
-    lines = [_row(columns), _row("---" for _ in columns)]
+    lines = [
+        _row(("elements", "a parameter is", *GUIDED)),
+        _row("---" for _ in range(6)),
+    ]
+    in_folder = [
+        _row(("elements", "map in a folder: median (s)", f"maps a second, {workers} workers")),
+        _row("---" for _ in range(3)),
+    ]
     coins = [_coin_of_50_um(loaded, threads)]
     for size in SIZES:
-        guided, scratch, off, elements = chain(loaded, size, count, threads)
+        for how, changed in ("set anywhere", changes), ("dragged", dragged):
+            guided, scratch, off, elements = chain(loaded, size, changed(count), threads)
+            name = f"{1000 * size:.0f} um ({elements:,})"
+            numbers = np.median(guided), np.percentile(guided, 90), np.median(scratch)
+            lines.append(_row([name, how, *(f"{n:.2f}" for n in numbers), f"{100 * off:.2g} %"]))
+            print(lines[-1], flush=True)
+            coins.append(_coin_of_50_um(loaded, threads))
         one = arriving(loaded, size, max(count // 2, 2), threads)
         beside = 1 / arriving(loaded, size, max(count, 2 * workers), threads, workers)
-        numbers = np.median(guided), np.percentile(guided, 90), np.median(scratch)
-        cells = [f"{1000 * size:.0f} um ({elements:,})", *(f"{n:.2f}" for n in numbers)]
-        lines.append(_row([*cells, f"{100 * off:.2g} %", f"{one:.2f}", f"{beside:.1f}"]))
-        print(lines[-1], flush=True)
-        coins.append(_coin_of_50_um(loaded, threads))
+        in_folder.append(_row([name, f"{one:.2f}", f"{beside:.1f}"]))
+        print(in_folder[-1], flush=True)
     used = threads or workers
     with_others = ", so others ran beside it" if load > 0.5 else ""
     lines += [
+        "",
+        *in_folder,
         "",
         f"{used} thread{'s' if used > 1 else ''} of {psutil.cpu_count()} cores, load {load:.1f} "
         f"before the measurement{with_others}. The coin at 50 um, the measure of a machine, took "
