@@ -260,6 +260,25 @@ def test_what_does_not_settle_is_nearly_converged_and_says_so(monkeypatch):
 
 
 @pytest.mark.parametrize(
+    ("shape", "said"), [("whole", "nothing holds the layer sideways"), ("rim", "stagnates")]
+)
+def test_what_moves_as_a_whole_until_steps_fail_is_said_to_slide(monkeypatch, shape, said):
+    result = tilted(0.3)
+    moves = np.zeros_like(result.state.u)
+    moves[0, ..., slice(None) if shape == "whole" else 0] = 0.01
+    steps = iter(range(path._SLIDING + 2))
+
+    def reach(way, trial, wanted, drag=None):
+        if drag is None or next(steps, None) is None:
+            raise NotConverged("Newton's method stagnates")
+        return balance(result.problem, replace(trial, u=trial.u + moves)), 9
+
+    monkeypatch.setattr(path.Path, "_reach", reach)
+    with pytest.raises(path.LoadNotReached, match=said):
+        disturbed(result).settle()
+
+
+@pytest.mark.parametrize(
     ("slope", "left"), [(-3.0, 0.0), (-1.0, 0.0), (0.4, 0.0), (0.9, 0.95 * 0.8**3)]
 )
 def test_the_bound_of_friction_arrives_where_it_would_swing_or_creep(slope, left):

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline
 
 from optical_palpation.errors import ConvergenceError, InputError
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.mechanics import path
+from optical_palpation.mechanics import cascade
 from optical_palpation.mechanics.body import Body
 from optical_palpation.mechanics.cascade import solve
 from optical_palpation.mechanics.direct import DirectSolver, sparse_matrix
@@ -323,7 +323,8 @@ def test_missing_values_must_be_filled_first():
 
 @pytest.mark.slow
 def test_a_load_that_is_not_reached_is_an_error_that_says_how_far_it_came(monkeypatch):
-    monkeypatch.setattr(path, "_FOLLOWED", 25)  # it would arrive after about 150 iterations
+    for name in "FOLLOWED", "_ITERATIONS":  # it would arrive after about 150 iterations
+        monkeypatch.setattr(cascade, name, 25)
     loaded = relief(1, n=7, size=0.75)
     steps = loaded.copy(data=np.where(np.indices(loaded.shape).sum(0) % 2, 0.02, 0.49))
     with pytest.raises(ConvergenceError, match=r"loaded to [\d.]+ % only"):

@@ -24,7 +24,7 @@ from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .neighbours import Neighbours
 from .newton import CARRIED, SLOW, Balance, LinearSolver, LoadedLayer, Solvers, balance, equilibrate
-from .path import NEARLY, Guide, LoadNotReached, Path, StepControl
+from .path import FOLLOWED, NEARLY, Guide, LoadNotReached, Path, StepControl
 from .problem import LayerProblem, LayerState
 from .similar import Similar
 from .untangle import untangled
@@ -57,6 +57,9 @@ _FAR_BEFORE = 0.07
 #: from the beginning. It takes seconds; on finer grids it is followed from the last load at which
 #: the layer can be, and one that can be but finds no equilibrium is sooner at rest against drag.
 _QUICK = 30_000
+#: Elements times Newton iterations in which the load of the finest grid may be followed, about a
+#: minute; and the most iterations. Hard layers come nearer all the time and want many.
+_WORK, _ITERATIONS = 2_000_000, 1000
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.
@@ -408,6 +411,7 @@ class _Nested:
             guide=guide,
             similar=self.similar.guide(level) if self.similar and whole else None,
             visited=visited if kept or level is not self.problem else None,
+            allowed=self._allowed(level),
         )
         try:
             path.follow(full, beside=beside)
@@ -474,6 +478,12 @@ class _Nested:
             return None
         self.record += [(level.grid.n_elements, *step) for step in path.record]
         return path.state
+
+    def _allowed(self, level: LayerProblem) -> int:
+        """Newton iterations in which a load must be followed; on coarse grids more gain little."""
+        if level is not self.problem:
+            return FOLLOWED
+        return max(FOLLOWED, min(_WORK // level.grid.n_elements, _ITERATIONS))
 
     def _wanted(self, level: LayerProblem) -> Tolerances:
         return self.tolerances if level is self.problem else self._coarser

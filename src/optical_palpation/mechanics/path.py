@@ -19,9 +19,9 @@ from .iteration import Iterate, NotConverged, Tolerances, impatient, met, relaxe
 
 Array = NDArray[np.float64]
 
-#: Newton iterations in which a load path must arrive, and bodies that are carried over to another
-#: grid come to rest; after that their load is followed on that grid.
-_FOLLOWED, _CARRIED = 250, 80
+#: Newton iterations in which a load path must arrive by default, and bodies that are carried over
+#: to another grid come to rest; after that their load is followed on that grid.
+FOLLOWED, _CARRIED = 250, 80
 #: Increment of the load below which drag takes over.
 _SNAP = 0.02
 #: Nothing snaps before it is loaded: increment down to which the first load is made smaller.
@@ -43,8 +43,12 @@ _REST = (0.03, 0.01)
 _STILL = 1e-5
 #: Share of the contact forces out of balance below which Newton's method is tried without drag.
 _NEAR = 0.1
-#: Steps in which fully loaded bodies must come to rest.
-_HELD = 50
+#: Steps in which fully loaded bodies must come to rest, and after which those that still move as a
+#: whole slide.
+_HELD, _SLIDING = 50, 10
+#: Why they do not.
+_SLIDES = "nothing holds the layer sideways: it slides from under what presses it"
+_RESTLESS = "the layer does not come to rest"
 #: Share of the contact forces out of balance with which a state counts as nearly one of equilibrium
 #: where contact at a few nodes changes for ever, once Newton's method fails there: if there is
 #: another way, if there is none, and at last.
@@ -257,6 +261,8 @@ class Path(Generic[AnyState]):
         ``tolerances``.
     visited
         If a list is given, the first state and all that were accepted.
+    allowed
+        Newton iterations in which the path must arrive.
     record
         (load, Newton iterations) of all that were accepted.
     spent
@@ -274,6 +280,7 @@ class Path(Generic[AnyState]):
     guide: Guide[AnyState] | None = None
     similar: Guide[AnyState] | None = None
     visited: list[AnyState] | None = None
+    allowed: int = FOLLOWED
     record: list[tuple[float, int]] = field(default_factory=list, init=False)
     spent: int = field(default=0, init=False)
     _mixture: tuple[float, float] = field(default=(1.0, 0.0), init=False)  # guide, line
@@ -339,7 +346,7 @@ class Path(Generic[AnyState]):
             try:
                 now, count = self._reach(trial, wanted)
             except NotConverged as failure:
-                if self.spent > _FOLLOWED:
+                if self.spent > self.allowed:
                     raise self._stopped(failure) from None
                 if self.similar:
                     self.similar = None
@@ -355,7 +362,7 @@ class Path(Generic[AnyState]):
                 if beside:
                     beside.stop(f"at {start:.0%} of the load the layer snaps or slides")
                 snaps += 1
-                self._creep(end, smaller, _FOLLOWED, stay=snaps > _SNAPS)
+                self._creep(end, smaller, self.allowed, stay=snaps > _SNAPS)
                 failed = 0
                 if self.state.load in stops:
                     kept.append(self.state)
@@ -420,7 +427,8 @@ class Path(Generic[AnyState]):
                 if left < NEARLY[1 + over]:
                     return
                 if over:
-                    raise self._stopped(failure) from None
+                    slides = held > _SLIDING and self._together()
+                    raise self._stopped(_SLIDES if slides else failure) from None
                 continue
             forces = loaded.contact_forces(now.state)
             share = self._force(drag, now.state) / max(_norm(forces), 1e-30)
@@ -450,7 +458,7 @@ class Path(Generic[AnyState]):
             if held > _HELD:
                 if left < NEARLY[2]:
                     return
-                raise self._stopped(self._restless())
+                raise self._stopped(_SLIDES if self._together() else _RESTLESS)
             if share < _REST[0] and rest.force_error < min(near, _NEAR):
                 near = 0.1 * rest.force_error
                 try:
@@ -522,15 +530,13 @@ class Path(Generic[AnyState]):
     def _stopped(self, reason: object) -> LoadNotReached:
         return LoadNotReached(self.state.load, str(reason))
 
-    def _restless(self) -> str:
-        """Why fully loaded bodies do not come to rest."""
+    def _together(self) -> bool:
+        """Whether the bodies moved sideways as a whole, more than otherwise, in the last step."""
         assert self.before is not None  # a step was accepted before
         at, before = (self.loaded.displacement(s) for s in (self.state, self.before))
         step, weights = (at - before)[:2], self.loaded.volumes / self.loaded.volumes.sum()
         together = float(np.linalg.norm((step * weights).sum(1)))
-        if together > 0.5 * float(np.sqrt((step**2 * weights).sum())):
-            return "nothing holds the layer sideways: it slides from under what presses it"
-        return "the layer does not come to rest"
+        return together > 0.5 * float(np.sqrt((step**2 * weights).sum()))
 
 
 def relaxation(part: float, last: Sequence[Array], change: Sequence[Array]) -> float:
