@@ -29,12 +29,6 @@ BEGIN, END = "<!-- measured by benchmarks/live.py -->", "<!-- end -->"
 SIZES = 0.25, 0.125  # mm
 START = {"window": 0.15, "sample": 0.1, "c10": 2.23, "thickness": performance.THICKNESS}
 STEPS = 10  # in which a parameter is dragged
-GUIDED = (
-    "guided: median (s)",
-    "90 % below (s)",
-    "from scratch: median (s)",
-    "largest difference",
-)
 
 STUDY = """
 [unloaded]
@@ -164,14 +158,17 @@ def table(count, threads):
     """The table of the page, in Markdown."""
     loaded = coin()
     load, workers = psutil.getloadavg()[0], len(psutil.Process().cpu_affinity())
-    lines = [
-        _row(("elements", "a parameter is", *GUIDED)),
-        _row("---" for _ in range(6)),
-    ]
-    in_folder = [
-        _row(("elements", "map in a folder: median (s)", f"maps a second, {workers} workers")),
-        _row("---" for _ in range(3)),
-    ]
+    lines = _header(
+        "elements",
+        "a parameter is",
+        "guided: median (s)",
+        "90 % below (s)",
+        "from scratch: median (s)",
+        "largest difference",
+    )
+    in_folder = _header(
+        "elements", "map in a folder: median (s)", f"maps a second, {workers} workers"
+    )
     coins = [_coin_of_50_um(loaded, threads)]
     for size in SIZES:
         for how, changed in ("set anywhere", changes), ("dragged", dragged):
@@ -203,6 +200,10 @@ def _coin_of_50_um(loaded, threads):
     start = time.perf_counter()
     performance.solve(loaded, 0.05, threads=threads)
     return time.perf_counter() - start
+
+
+def _header(*columns):
+    return [_row(columns), _row("---" for _ in columns)]
 
 
 def _row(cells):

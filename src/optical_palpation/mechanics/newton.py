@@ -105,7 +105,8 @@ class Due:
     error, and the columns are at most a share ``most`` of the layer. In a layer that was
     ``carried`` to another grid their volumes may be as much looser than the whole layer's as their
     forces, and where they find no equilibrium what is nearest to one will do. Where the load is
-    followed neither pays: thin layers that stick ask for volumes as good as the whole layer's.
+    followed with no similar layer to guide it neither pays: thin layers that stick ask for volumes
+    as good as the whole layer's.
     """
 
     first: int
