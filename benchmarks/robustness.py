@@ -39,6 +39,7 @@ from optical_palpation.palpation import (
     computational_stress,
 )
 from optical_palpation.palpation.meshing import layer_nodes
+from optical_palpation.palpation.result import Status
 from optical_palpation.thickness import thickness_map
 
 RELIEFS = (
@@ -52,6 +53,8 @@ RELIEFS = (
     "needles",
     "checkerboard",
 )
+#: What some of the statuses of a result are called in the tables; the others are ``converged``.
+ENDS = {Status.COARSE_EDGES: "coarse edges", Status.COARSER: "on coarser"}
 #: Elements of a problem, at the most: without those that edges add, and with them.
 MOST_ELEMENTS, MOST_WITH_EDGES = 6000, 8000
 
@@ -211,7 +214,7 @@ def _blobs(x, y, rng):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a case ended: ``converged``, ``on coarser`` elements, ``ConvergenceError``, or badly."""
+    """How a case ended: ``converged``, one of ``ENDS``, ``ConvergenceError``, or badly."""
 
     case: Case
     kind: str
@@ -221,7 +224,7 @@ class Outcome:
 
     @property
     def allowed(self) -> bool:
-        return self.kind in ("converged", "on coarser", "ConvergenceError")
+        return self.kind in ("converged", *ENDS.values(), "ConvergenceError")
 
 
 class TimeLimit(Exception):
@@ -249,8 +252,7 @@ def attempt(case: Case, solver: str = "auto", limit: int = 120, progress=None) -
     try:
         result = case.solve(solver, count)
         text = "; ".join(faults(result))
-        coarser = "asked_elements_failure" in result.maps.attrs
-        kind = "wrong result" if text else "on coarser" if coarser else "converged"
+        kind = "wrong result" if text else ENDS.get(result.maps.attrs["status"], "converged")
     except TimeLimit:
         kind, text = "time limit", f"{limit} s"
     except ConvergenceError as error:

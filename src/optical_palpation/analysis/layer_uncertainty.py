@@ -185,6 +185,7 @@ class _Solve:
             **self.options,
         )
         attrs = result.maps.attrs
-        if "asked_elements_failure" in attrs:  # differences between meshes are no errors of inputs
-            raise ConvergenceError(attrs["asked_elements_failure"])
+        for key in ("asked_elements_failure", "asked_edges_failure"):
+            if key in attrs:  # differences between meshes are no errors of inputs
+                raise ConvergenceError(attrs[key])
         return result

@@ -24,7 +24,7 @@ from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .neighbours import Neighbours
 from .newton import CARRIED, SLOW, Balance, LinearSolver, LoadedLayer, Solvers, balance, equilibrate
-from .path import FOLLOWED, NEARLY, Guide, LoadNotReached, Path, StepControl
+from .path import FOLLOWED, NEARLY, SLIDES, SNAPS, Guide, LoadNotReached, Path, StepControl
 from .problem import LayerProblem, LayerState
 from .similar import Similar
 from .untangle import untangled
@@ -60,10 +60,16 @@ _QUICK = 30_000
 #: Elements times Newton iterations in which the load of the finest grid may be followed, about a
 #: minute; and the most iterations. Hard layers come nearer all the time and want many.
 _WORK, _ITERATIONS = 2_000_000, 1000
+#: Newton iterations that free edges may take at first, before coarser ones are tried; that they may
+#: take when they are made narrower, and elements times iterations of all that.
+_AT_FIRST, _NARROWED, _EDGE_WORK = 150, 100, 1_000_000
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.
 _KEPT = 0.5
+#: By how much the outermost elements become narrower at a time; how wide they may be at first, in
+#: those inside, to be worth another solution; and from which share on they are no narrower.
+_QUARTER, _NARROWER, _PLAIN = 4, 0.5, 0.9
 #: What two iterations leave of an error, at least, that they hardly make smaller.
 _HARDLY = 1 / 3
 #: What is as good as at rest on a coarser grid, if it came there against drag: what is left is less
@@ -77,7 +83,9 @@ class Solution:
 
     ``record`` lists (elements, load, Newton iterations) of every accepted equilibrium. ``coarser``
     is the fully loaded layer on the next coarser grid, where it was solved there. ``tolerances``
-    are what the layer was to be brought to, ``guided`` says whether by a similar one.
+    are what the layer was to be brought to, ``guided`` says whether by a similar one. ``wider`` is
+    the solution on the same elements, but for those at free edges, which are at least twice as
+    wide; None where it was not needed.
     """
 
     problem: LayerProblem
@@ -86,6 +94,7 @@ class Solution:
     coarser: tuple[LayerProblem, LayerState] | None = None
     tolerances: Tolerances = TOLERANCES
     guided: bool = False
+    wider: Solution | None = None
 
     @property
     def newton_iterations(self) -> int:
@@ -94,11 +103,15 @@ class Solution:
 
 
 class OnlyOnCoarser(LoadNotReached):
-    """The full load was reached on coarser elements only; carries the ``solution`` there."""
+    """The full load was reached on coarser elements only; carries the ``solution`` there.
 
-    def __init__(self, failure: LoadNotReached, solution: Solution) -> None:
+    ``at_edges`` says that these are coarser at free edges alone.
+    """
+
+    def __init__(self, failure: LoadNotReached, solution: Solution, at_edges: bool = False) -> None:
         super().__init__(failure.load, failure.reason)
         self.solution = solution
+        self.at_edges = at_edges
 
 
 def grids(problem: LayerProblem) -> list[LayerProblem]:
@@ -111,6 +124,42 @@ def grids(problem: LayerProblem) -> list[LayerProblem]:
             break  # most elements are those of the free edges, which stay
         levels.append(coarse)
     return levels
+
+
+def with_edges(problem: LayerProblem, edge: float | None) -> LayerProblem:
+    """Return a problem with free edges of outermost elements of a width, mm.
+
+    With None they are as wide as those inside. Axes along which they are that already stay as they
+    are.
+    """
+    grid = problem.grid
+    y, x = (
+        node_positions(float(nodes[-1] - nodes[0]), _inner_size(nodes), float(nodes[0]), edge=edge)
+        if _narrow_ends(nodes)
+        else nodes
+        for nodes in (grid.y, grid.x)
+    )
+    unloaded = problem.imprint.evaluate(*np.meshgrid(x, y), 0.0)[0]
+    return problem.on_grid(LayerGrid(x, y, grid.depth, unloaded))
+
+
+def _narrow_edges(problem: LayerProblem) -> bool:
+    """Whether elements at free edges are narrower than those inside."""
+    axes = problem.grid.y, problem.grid.x
+    return problem.edges == "free" and any(_narrow_ends(nodes) for nodes in axes)
+
+
+def _narrow_ends(nodes: Array) -> bool:
+    return bool(nodes[1] - nodes[0] < _PLAIN * _inner_size(nodes))
+
+
+def _edge_widths(problem: LayerProblem) -> list[float]:
+    """Widths of outermost elements, mm, from coarse ones on, each a quarter of the one before."""
+    inside = max(_inner_size(nodes) for nodes in (problem.grid.y, problem.grid.x))
+    widths = [edge_width(problem.grid.depth, problem.grid.typical_thickness)]
+    while _QUARTER * widths[-1] <= _NARROWER * inside:
+        widths.append(_QUARTER * widths[-1])
+    return widths[::-1]
 
 
 def coarsened(problem: LayerProblem) -> LayerProblem:
@@ -151,6 +200,8 @@ def _coarse_axis(nodes: Array, edge: float | None) -> Array:
     size = _inner_size(nodes)
     if widths[:2].min() > 1.01 * size:  # a padded layer is coarse where it ends
         return nodes[coarse_nodes(len(widths), True)]
+    if edge is not None and widths[0] > 1.5 * edge:  # free edges were left coarse
+        edge = float(widths[0]) if _narrow_ends(nodes) else None
     length = float(nodes[-1] - nodes[0])
     # longer ones would leave no room for those between the edges
     return node_positions(length, min(2 * size, 0.25 * length), float(nodes[0]), edge=edge)
@@ -234,7 +285,7 @@ def solve(
     ------
     LoadNotReached
         When the full load is not reached on the grid of the problem; as its subclass OnlyOnCoarser
-        where it is on a coarser one.
+        where it is on a coarser one, or on one that is coarser at free edges.
     """
     levels = grids(problem) if cascade else [problem]
     guided = similar is not None and any(similar.guides(level) for level in levels)
@@ -256,8 +307,9 @@ def solve(
 class _Nested:
     """The nested iteration of one problem; for its arguments see ``solve``.
 
-    ``path`` is the last load path that was followed, from the first of its states on, and the
-    problem on its grid.
+    ``allowed`` are the Newton iterations in which the load must be followed on the finest grid, if
+    given. ``path`` is the last load path that was followed, from the first of its states on, and
+    the problem on its grid.
     """
 
     problem: LayerProblem
@@ -269,6 +321,7 @@ class _Nested:
     similar: Similar | None
     on_iteration: Callable[[LayerProblem, float, int, Balance, int], None] | None
     guided: bool
+    allowed: int | None = None
     record: list[tuple[int, float, int]] = field(default_factory=list, init=False)
     path: tuple[LayerProblem, list[LayerState]] | None = field(default=None, init=False)
     own: Similar = field(default_factory=Similar, init=False)
@@ -277,6 +330,7 @@ class _Nested:
         least = min(self.tolerances, TOLERANCES, key=lambda wanted: wanted.force)
         self._coarser, self._on_the_way = relaxed(least, _COARSER), relaxed(least, _ON_THE_WAY)
         self._resting = relaxed(least, _RESTING)
+        self._may_widen = _narrow_edges(self.problem)  # until that was tried
 
     def solved(self, levels: list[LayerProblem]) -> Solution:
         """Solve on all grids, the last of them first."""
@@ -290,6 +344,13 @@ class _Nested:
             try:
                 state = state or self._loaded(level, carried)
             except LoadNotReached as failure:
+                if self._may_widen and failure.reason != SLIDES:
+                    solution = self._by_wider_edges()
+                    self._may_widen = False
+                    if solution is not None:
+                        if self.similar is not None:
+                            self.similar.become(self.own)
+                        return solution
                 if carried:
                     state = self._settled(level, carried)
                 # what a coarse grid cannot bear a finer one may
@@ -303,6 +364,52 @@ class _Nested:
         if self.similar is not None:
             self.similar.become(self.own)
         return self._solution(levels, found)
+
+    def _by_wider_edges(self) -> Solution | None:
+        """Solve with free edges as coarse as all else; then make them narrower by and by.
+
+        Narrow elements at the rim of a layer that sticks roll, lift and slip in turns, and are what
+        keeps it from equilibrium. The load is followed anew for each width, guided by the path of
+        the one before.
+
+        Returns
+        -------
+        Solution or None
+            None where the layer does not arrive with coarse edges either.
+
+        Raises
+        ------
+        OnlyOnCoarser
+            Where it does, but not with edges as narrow as those of the problem.
+        """
+        coarse = with_edges(self.problem, None)
+        nested = replace(self, problem=coarse, neighbours=None, similar=None)
+        try:
+            solution = nested.solved(grids(coarse))
+        except LoadNotReached:
+            return None
+        work, widths = _EDGE_WORK, _edge_widths(self.problem)
+        for width in widths:
+            level = self.problem if width == widths[-1] else with_edges(self.problem, width)
+            allowed = min(_NARROWED, work // level.grid.n_elements)
+            path, nested = nested.path, replace(nested, problem=level, allowed=allowed)
+            nested.path, nested.record = path, [*solution.record]
+            carried = prolong(solution.state, solution.problem, level)
+            try:
+                state = nested._carried_over(level, carried) or nested._loaded(level, carried)
+            except LoadNotReached as failure:
+                raise OnlyOnCoarser(failure, solution, at_edges=True) from None
+            done = sum(count for _, _, count in nested.record[len(solution.record) :])
+            work -= done * level.grid.n_elements
+            solution = replace(
+                solution,
+                problem=level,
+                state=state,
+                record=nested.record,
+                coarser=None,
+                wider=solution,
+            )
+        return solution
 
     def _solution(
         self, levels: list[LayerProblem], found: list[tuple[int, LayerState]]
@@ -400,6 +507,7 @@ class _Nested:
             beside.begin(level, begin, make_solver(level, self.solver))
         visited: list[LayerState] = []
         kept = self.similar is not None and whole  # guides the next layer
+        guides = kept or level is not self.problem or level.grid.n_elements <= _QUICK
         path = Path(
             LoadedLayer(level, self._solvers(level), CARRIED if self.guided else SLOW),
             self._wanted(level),
@@ -410,8 +518,9 @@ class _Nested:
             resting=self._rest(level),
             guide=guide,
             similar=self.similar.guide(level) if self.similar and whole else None,
-            visited=visited if kept or level is not self.problem else None,
+            visited=visited if guides else None,
             allowed=self._allowed(level),
+            snaps=SNAPS if self._may_widen else None,
         )
         try:
             path.follow(full, beside=beside)
@@ -419,7 +528,8 @@ class _Nested:
             if beside:
                 beside.stop("the load was not reached")
             raise
-        self.path = level, visited
+        if guides:
+            self.path = level, visited
         if kept and path.smooth:
             self.own.followed(level, visited)
         self.record += [(level.grid.n_elements, *step) for step in path.record]
@@ -481,6 +591,10 @@ class _Nested:
 
     def _allowed(self, level: LayerProblem) -> int:
         """Newton iterations in which a load must be followed; on coarse grids more gain little."""
+        if level is self.problem and self.allowed is not None:
+            return self.allowed
+        if self._may_widen and level.grid.n_elements <= _QUICK:
+            return _AT_FIRST
         if level is not self.problem:
             return FOLLOWED
         return max(FOLLOWED, min(_WORK // level.grid.n_elements, _ITERATIONS))

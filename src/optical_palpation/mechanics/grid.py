@@ -101,6 +101,11 @@ class LayerGrid:
             float(np.median(np.diff(self.x))),
         )
 
+    @property
+    def edge_widths(self) -> tuple[float, float]:
+        """Widths of the outermost elements (y, x), mm."""
+        return float(self.y[1] - self.y[0]), float(self.x[1] - self.x[0])
+
     @cached_property
     def areas(self) -> Array:
         """Tributary areas of the unloaded sample-side nodes, (ny + 1, nx + 1), mm^2."""

@@ -29,7 +29,7 @@ _TOUCH = 1e-3
 #: Failures in a row, at ever smaller increments, after which drag takes over, too.
 _FAILURES = 2
 #: Snaps after which the drag stays until the full load is reached: there are always more.
-_SNAPS = 1
+SNAPS = 1
 #: Viscosity, in the ``stiffness`` of what is loaded: at first, the least and the most. It is halved
 #: after an easy step (a quarter of it is left at the full load), and four times as large, with half
 #: the increment, after a failure.
@@ -47,7 +47,7 @@ _NEAR = 0.1
 #: whole slide.
 _HELD, _SLIDING = 50, 10
 #: Why they do not.
-_SLIDES = "nothing holds the layer sideways: it slides from under what presses it"
+SLIDES = "nothing holds the layer sideways: it slides from under what presses it"
 _RESTLESS = "the layer does not come to rest"
 #: Share of the contact forces out of balance with which a state counts as nearly one of equilibrium
 #: where contact at a few nodes changes for ever, once Newton's method fails there: if there is
@@ -263,6 +263,8 @@ class Path(Generic[AnyState]):
         If a list is given, the first state and all that were accepted.
     allowed
         Newton iterations in which the path must arrive.
+    snaps
+        How often it may snap or slide on its way, if not as often as it likes.
     record
         (load, Newton iterations) of all that were accepted.
     spent
@@ -281,6 +283,7 @@ class Path(Generic[AnyState]):
     similar: Guide[AnyState] | None = None
     visited: list[AnyState] | None = None
     allowed: int = FOLLOWED
+    snaps: int | None = None
     record: list[tuple[float, int]] = field(default_factory=list, init=False)
     spent: int = field(default=0, init=False)
     _mixture: tuple[float, float] = field(default=(1.0, 0.0), init=False)  # guide, line
@@ -362,7 +365,9 @@ class Path(Generic[AnyState]):
                 if beside:
                     beside.stop(f"at {start:.0%} of the load the layer snaps or slides")
                 snaps += 1
-                self._creep(end, smaller, self.allowed, stay=snaps > _SNAPS)
+                if self.snaps is not None and snaps > self.snaps:
+                    raise self._stopped(failure) from None
+                self._creep(end, smaller, self.allowed, stay=snaps > SNAPS)
                 failed = 0
                 if self.state.load in stops:
                     kept.append(self.state)
@@ -428,7 +433,7 @@ class Path(Generic[AnyState]):
                     return
                 if over:
                     slides = held > _SLIDING and self._together()
-                    raise self._stopped(_SLIDES if slides else failure) from None
+                    raise self._stopped(SLIDES if slides else failure) from None
                 continue
             forces = loaded.contact_forces(now.state)
             share = self._force(drag, now.state) / max(_norm(forces), 1e-30)
@@ -458,7 +463,7 @@ class Path(Generic[AnyState]):
             if held > _HELD:
                 if left < NEARLY[2]:
                     return
-                raise self._stopped(_SLIDES if self._together() else _RESTLESS)
+                raise self._stopped(SLIDES if self._together() else _RESTLESS)
             if share < _REST[0] and rest.force_error < min(near, _NEAR):
                 near = 0.1 * rest.force_error
                 try:

@@ -150,7 +150,9 @@ def computational_stress(
     StressResult
         Maps in the frame of the imaging system, and the deformed layer. Where the full load is
         reached on coarser elements only, that is the solution there: its ``status`` says so, the
-        attributes ``asked_elements_failure`` and ``asked_element_size_mm`` why and what was asked.
+        attributes ``asked_elements_failure`` and ``asked_element_size_mm`` why and what was asked;
+        ``asked_edges_failure`` and ``asked_edge_element_size_mm`` where the elements at free edges
+        alone are coarser, ``edge_element_size_mm``.
 
     Raises
     ------
@@ -238,7 +240,7 @@ def computational_stress(
     )
     report = Iterations(progress)
     report.stage("preparing", 0.0)
-    asked, failed = problem, ""
+    asked, instead = problem, dict[str, Any]()
     try:
         with limited_threads(threads):
             solution = solve(
@@ -251,7 +253,7 @@ def computational_stress(
             )
     except OnlyOnCoarser as failure:
         solution, problem = failure.solution, failure.solution.problem
-        failed = f"the layer was loaded {failure.how_far()}: {failure.reason}"
+        instead = instead_of(asked, failure)
     except LoadNotReached as failure:
         raise ConvergenceError(
             f"the layer was loaded {failure.how_far()}: {failure.reason}. Try a stronger "
@@ -298,13 +300,11 @@ def computational_stress(
     }
     if solution.guided:
         maps.attrs["guided_by_similar_layer"] = 1
-    if failed:
-        maps.attrs |= {
-            "asked_element_size_mm": list(asked.grid.spacing[::-1]),
-            "asked_elements_failure": failed,
-        }
+    if instead:
+        maps.attrs |= instead
         if maps.attrs["status"] == Status.CONVERGED:
-            maps.attrs["status"] = str(Status.COARSER)
+            at_edges = "asked_edges_failure" in instead
+            maps.attrs["status"] = str(Status.COARSE_EDGES if at_edges else Status.COARSER)
     if of_mesh is not None:
         _add_mesh_error(maps, of_mesh)
     if edge_check:
@@ -443,6 +443,21 @@ def residuals(now: Iterate, tolerances: Tolerances = TOLERANCES) -> dict[str, An
         "volume_residual": now.volume_error,
         "volume_tolerance": tolerances.volume,
         "smallest_volume_ratio": now.min_jacobian,
+    }
+
+
+def instead_of(asked: LayerProblem, failure: OnlyOnCoarser) -> dict[str, Any]:
+    """Attributes that say which elements a solution was to be on, and why it is on others."""
+    why = f"the layer was loaded {failure.how_far()}: {failure.reason}"
+    if not failure.at_edges:
+        return {
+            "asked_element_size_mm": list(asked.grid.spacing[::-1]),
+            "asked_elements_failure": why,
+        }
+    return {
+        "edge_element_size_mm": list(failure.solution.problem.grid.edge_widths[::-1]),
+        "asked_edge_element_size_mm": list(asked.grid.edge_widths[::-1]),
+        "asked_edges_failure": why,
     }
 
 

@@ -145,6 +145,14 @@ def _comparisons(
     """
     here: Loaded = solution.problem, solution.state
     found: list[_Comparison] = []
+    if solution.wider is not None:
+        wider = solution.wider.problem, solution.wider.state
+        edges = _Comparison((here, wider), SAFETY / (2**ORDER - 1))
+        while solution.wider is not None:
+            solution = solution.wider
+        # what elements inside are off by is told by the grids with edges as coarse as these
+        inside = _comparisons(solution, bound_guess, further)
+        return [edges, *inside] if inside else []
     if solution.coarser is not None:
         found.append(_coarser(here, solution.coarser))
         here = solution.coarser

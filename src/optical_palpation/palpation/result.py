@@ -42,6 +42,7 @@ class Status(StrEnum):
 
     CONVERGED = "converged"
     NEARLY = "nearly converged"
+    COARSE_EDGES = "converged with coarse free edges"
     COARSER = "converged on coarser elements"
     INCOMPLETE = "incomplete"
 

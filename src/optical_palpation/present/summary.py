@@ -305,6 +305,15 @@ def of_solution(attrs: Mapping[Hashable, Any]) -> list[str]:
             f"this is the solution on elements of {sizes} mm, not of {asked} mm: on those "
             f"{attrs['asked_elements_failure']}"
         )
+    if "asked_edges_failure" in attrs:
+        widths, asked = (
+            " and ".join(f"{size:.2g}" for size in attrs[key])
+            for key in ("edge_element_size_mm", "asked_edge_element_size_mm")
+        )
+        said.append(
+            f"this is the solution with outermost elements {widths} mm wide along x and y, not "
+            f"{asked} mm: with those {attrs['asked_edges_failure']}"
+        )
     if attrs.get("status") == Status.NEARLY:
         said.append(
             "nearly converged: friction at some edges goes on changing, and "
