@@ -60,9 +60,9 @@ _QUICK = 30_000
 #: Elements times Newton iterations in which the load of the finest grid may be followed, about a
 #: minute; and the most iterations. Hard layers come nearer all the time and want many.
 _WORK, _ITERATIONS = 2_000_000, 1000
-#: Newton iterations that free edges may take at first, before coarser ones are tried; that they may
-#: take when they are made narrower, and elements times iterations of all that.
-_AT_FIRST, _NARROWED, _EDGE_WORK = 150, 100, 1_000_000
+#: Newton iterations that a layer with narrow free edges may take on one grid, before coarse ones
+#: are tried and after that; elements times iterations in which these must become narrow again.
+_NARROW, _NARROW_WORK = 150, 1_500_000
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.
@@ -309,7 +309,7 @@ class _Nested:
 
     ``allowed`` are the Newton iterations in which the load must be followed on the finest grid, if
     given. ``path`` is the last load path that was followed, from the first of its states on, and
-    the problem on its grid.
+    the problem on its grid; ``spent`` are the Newton iterations that it took.
     """
 
     problem: LayerProblem
@@ -324,6 +324,7 @@ class _Nested:
     allowed: int | None = None
     record: list[tuple[int, float, int]] = field(default_factory=list, init=False)
     path: tuple[LayerProblem, list[LayerState]] | None = field(default=None, init=False)
+    spent: int = field(default=0, init=False)
     own: Similar = field(default_factory=Similar, init=False)
 
     def __post_init__(self) -> None:
@@ -383,15 +384,15 @@ class _Nested:
             Where it does, but not with edges as narrow as those of the problem.
         """
         coarse = with_edges(self.problem, None)
-        nested = replace(self, problem=coarse, neighbours=None, similar=None)
+        nested = replace(self, problem=coarse, neighbours=None, similar=None, guided=False)
         try:
             solution = nested.solved(grids(coarse))
         except LoadNotReached:
             return None
-        work, widths = _EDGE_WORK, _edge_widths(self.problem)
+        work, widths = _NARROW_WORK, _edge_widths(self.problem)
         for width in widths:
             level = self.problem if width == widths[-1] else with_edges(self.problem, width)
-            allowed = min(_NARROWED, work // level.grid.n_elements)
+            allowed = min(_NARROW, work // level.grid.n_elements)
             path, nested = nested.path, replace(nested, problem=level, allowed=allowed)
             nested.path, nested.record = path, [*solution.record]
             carried = prolong(solution.state, solution.problem, level)
@@ -399,8 +400,7 @@ class _Nested:
                 state = nested._carried_over(level, carried) or nested._loaded(level, carried)
             except LoadNotReached as failure:
                 raise OnlyOnCoarser(failure, solution, at_edges=True) from None
-            done = sum(count for _, _, count in nested.record[len(solution.record) :])
-            work -= done * level.grid.n_elements
+            work -= nested.spent * level.grid.n_elements
             solution = replace(
                 solution,
                 problem=level,
@@ -520,7 +520,7 @@ class _Nested:
             similar=self.similar.guide(level) if self.similar and whole else None,
             visited=visited if guides else None,
             allowed=self._allowed(level),
-            snaps=SNAPS if self._may_widen else None,
+            snaps=SNAPS if self._soon(level) else None,
         )
         try:
             path.follow(full, beside=beside)
@@ -528,6 +528,7 @@ class _Nested:
             if beside:
                 beside.stop("the load was not reached")
             raise
+        self.spent = path.spent
         if guides:
             self.path = level, visited
         if kept and path.smooth:
@@ -593,11 +594,15 @@ class _Nested:
         """Newton iterations in which a load must be followed; on coarse grids more gain little."""
         if level is self.problem and self.allowed is not None:
             return self.allowed
-        if self._may_widen and level.grid.n_elements <= _QUICK:
-            return _AT_FIRST
+        if self._soon(level):
+            return _NARROW
         if level is not self.problem:
             return FOLLOWED
         return max(FOLLOWED, min(_WORK // level.grid.n_elements, _ITERATIONS))
+
+    def _soon(self, level: LayerProblem) -> bool:
+        """Whether a load path is given up soon, because coarse edges get there sooner."""
+        return self._may_widen and level.grid.n_elements <= _QUICK
 
     def _wanted(self, level: LayerProblem) -> Tolerances:
         return self.tolerances if level is self.problem else self._coarser
