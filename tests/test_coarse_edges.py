@@ -27,7 +27,7 @@ from optical_palpation.mechanics.iteration import TOLERANCES, NotConverged
 from optical_palpation.mechanics.newton import balance
 from optical_palpation.mechanics.problem import LayerState
 from optical_palpation.palpation import InputErrors, computational_stress, mesh_error
-from optical_palpation.palpation.meshing import expected_forces, layer_problem
+from optical_palpation.palpation.meshing import expected_forces, layer_nodes, layer_problem
 from optical_palpation.present import summarise
 from optical_palpation.study import warnings_about
 from optical_palpation.thickness import thickness_map
@@ -106,6 +106,11 @@ def test_edges_are_as_coarse_as_all_else_and_then_narrower_by_and_by():
 def test_edges_that_are_not_free_or_not_narrow_stay():
     assert not _narrow_edges(problem("roller"))
     assert not _narrow_edges(problem("padded"))
+    # whose ends are narrower than elements of four thicknesses
+    depth, y, x = layer_nodes((0, 10, 0, 10), 0.5, (2.0, 2.0, 0.25), "padded")
+    assert x[1] - x[0] < 0.9 * 2.0
+    wide = problem().on_grid(LayerGrid(x, y, depth, np.full((len(y), len(x)), 0.5)))
+    assert not _narrow_edges(wide)
     assert not _narrow_edges(with_edges(problem(), None))
     narrow = problem().grid
     strip = problem().on_grid(

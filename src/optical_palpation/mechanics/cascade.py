@@ -144,9 +144,15 @@ def with_edges(problem: LayerProblem, edge: float | None) -> LayerProblem:
 
 
 def _narrow_edges(problem: LayerProblem) -> bool:
-    """Whether elements at free edges are narrower than those inside."""
-    axes = problem.grid.y, problem.grid.x
-    return problem.edges == "free" and any(_narrow_ends(nodes) for nodes in axes)
+    """Whether elements at free edges are narrower than those inside.
+
+    So may be those at the ends of a padded layer, where elements inside are many thicknesses wide;
+    but they are wider than the layer is thick.
+    """
+    grid = problem.grid
+    ends = zip((grid.y, grid.x), grid.edge_widths, strict=True)
+    narrow = (_narrow_ends(nodes) and edge < grid.typical_thickness for nodes, edge in ends)
+    return problem.edges == "free" and any(narrow)
 
 
 def _narrow_ends(nodes: Array) -> bool:
