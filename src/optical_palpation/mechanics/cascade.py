@@ -19,6 +19,7 @@ from .contact import remember_slip, slip_coordinate
 from .direct import DirectSolver, direct_solver
 from .friction import held_fast
 from .grid import LayerGrid, contact_nodes, edge_width, face_and_sides, node_positions
+from .imprint import Imprint
 from .iteration import TOLERANCES, NotConverged, Tolerances, impatient, relaxed
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
@@ -139,8 +140,7 @@ def with_edges(problem: LayerProblem, edge: float | None) -> LayerProblem:
         else nodes
         for nodes in (grid.y, grid.x)
     )
-    unloaded = problem.imprint.evaluate(*np.meshgrid(x, y), 0.0)[0]
-    return problem.on_grid(LayerGrid(x, y, grid.depth, unloaded))
+    return _remeshed(problem, x, y, grid.depth, problem.imprint)
 
 
 def _narrow_edges(problem: LayerProblem) -> bool:
@@ -196,6 +196,13 @@ def halved(problem: LayerProblem, halve: NDArray[np.bool_]) -> LayerProblem:
     if not halve[1:].any():
         return problem.on_grid(LayerGrid(x, y, depth, grid.thickness))
     imprint = problem.imprint.smoothed(0.5 * float(np.sqrt(_inner_size(x) * _inner_size(y))))
+    return _remeshed(problem, x, y, depth, imprint)
+
+
+def _remeshed(
+    problem: LayerProblem, x: Array, y: Array, depth: Array, imprint: Imprint
+) -> LayerProblem:
+    """Return the problem on other nodes, as thick there as its imprint is unloaded."""
     unloaded = imprint.evaluate(*np.meshgrid(x, y), 0.0)[0]
     return problem.on_grid(LayerGrid(x, y, depth, unloaded), imprint)
 
@@ -306,7 +313,10 @@ def solve(
         on_iteration,
         guided,
     )
-    return nested.solved(levels)
+    solution = nested.solved(levels)
+    if similar is not None:
+        similar.become(nested.own)
+    return solution
 
 
 @dataclass
@@ -355,8 +365,6 @@ class _Nested:
                     solution = self._by_wider_edges()
                     self._may_widen = False
                     if solution is not None:
-                        if self.similar is not None:
-                            self.similar.become(self.own)
                         return solution
                 if carried:
                     state = self._settled(level, carried)
@@ -368,8 +376,6 @@ class _Nested:
                     raise OnlyOnCoarser(failure, instead) from None
             if state is not None:
                 found.append((n, state))
-        if self.similar is not None:
-            self.similar.become(self.own)
         return self._solution(levels, found)
 
     def _by_wider_edges(self) -> Solution | None:
