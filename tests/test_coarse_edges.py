@@ -36,6 +36,11 @@ SILICONE = MooneyRivlin(2.23, 0.703)
 AXIS = np.linspace(0, 2, 41)
 SIZE, DEPTH = 0.25, 0.1
 HELD = {"window": 0.3, "sample": 0.3}
+GIVEN = {
+    "window_friction": HELD["window"],
+    "sample_friction": HELD["sample"],
+    "element_size": (SIZE, SIZE, DEPTH),
+}
 
 
 def tilted():
@@ -55,10 +60,7 @@ def stress(**options):
         tilted(),
         0.5,
         SILICONE,
-        window_friction=0.3,
-        sample_friction=0.3,
-        element_size=(SIZE, SIZE, DEPTH),
-        **{"edge_check": False, "input_errors": None, **options},
+        **{**GIVEN, "edge_check": False, "input_errors": None, **options},
     )
 
 
@@ -187,14 +189,7 @@ def test_a_layer_that_bears_no_edges_at_all_does_not_arrive(stops):
 
 def test_other_edges_are_no_error_of_the_inputs(stops):
     with pytest.raises(ConvergenceError, match="the rim snaps"):
-        stress_uncertainty(
-            tilted(),
-            0.5,
-            SILICONE,
-            window_friction=0.3,
-            sample_friction=0.3,
-            element_size=(SIZE, SIZE, DEPTH),
-        )
+        stress_uncertainty(tilted(), 0.5, SILICONE, **GIVEN)
 
 
 def test_what_slides_away_slides_with_any_edges(monkeypatch):
@@ -207,26 +202,19 @@ def test_what_slides_away_slides_with_any_edges(monkeypatch):
         solved(problem())
 
 
-class Snaps(SimpleNamespace):
-    """Finds no equilibrium at loads above the last that it reached but against drag."""
-
-    stiffness = 1.0
-
-    def equilibrate(self, trial, tolerances, on_iteration, drag):
-        if drag is None:
-            raise NotConverged("it snaps")
-        self.drags += 1
-        raise NotConverged("and does not come to rest")
-
-
 @pytest.mark.parametrize(("snaps", "drags"), [(0, 0), (1, 1)])
 def test_a_path_that_may_not_snap_so_often_is_given_up(snaps, drags, monkeypatch):
-    def creep(way, end, *_, **__):
+    """No load has an equilibrium, and drag carries over a tenth of it at a time."""
+
+    def equilibrate(*_):
+        raise NotConverged("it snaps")
+
+    def creep(way, *_, **__):
         layer.drags += 1
         way.state = way.state.at_load(way.state.load + 0.1)
 
     monkeypatch.setattr(path.Path, "_creep", creep)
-    layer = Snaps(drags=0)
+    layer = SimpleNamespace(drags=0, equilibrate=equilibrate)
     rest = LayerState.unloaded(problem().grid)
     way = path.Path(layer, TOLERANCES, TOLERANCES, rest, snaps=snaps)
     with pytest.raises(path.LoadNotReached, match="it snaps"):
