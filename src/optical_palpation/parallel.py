@@ -7,8 +7,9 @@ Numba's threads are launched by way of its lowering, most of which is not docume
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
-from contextlib import AbstractContextManager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from typing import Any, cast
 
@@ -30,6 +31,8 @@ intrinsic: Any = extending.intrinsic
 
 
 _launched_by: int | None = None
+#: Threads to which the linear algebra libraries are held.
+_held: ContextVar[int | None] = ContextVar("blas threads", default=None)
 
 
 def launch_threads() -> None:
@@ -66,13 +69,22 @@ def _alone_after_fork() -> None:
     nb.set_num_threads(1)
 
 
-def blas_threads(number: int) -> AbstractContextManager[Any]:
+@contextmanager
+def blas_threads(number: int) -> Iterator[None]:
     """Hold the linear algebra libraries to so many threads.
 
     Small matrices take one: on busy cores several wait for one another a hundred times as long as
     the work takes.
     """
-    return _libraries().limit(limits=number, user_api="blas")
+    if _held.get() == number:  # to ask for it again takes as long as a small product
+        yield
+        return
+    before = _held.set(number)
+    try:
+        with _libraries().limit(limits=number, user_api="blas"):
+            yield
+    finally:
+        _held.reset(before)
 
 
 @cache

@@ -157,16 +157,6 @@ def sparse_matrix(stencil: Vector, free: NDArray[np.bool_]) -> sp.csr_matrix:
     return sp.csr_matrix((entries, pattern.columns, pattern.begins), shape=(flat.size, flat.size))
 
 
-def dense_matrix(stencil: Vector, free: NDArray[np.bool_]) -> Vector:
-    """Return ``sparse_matrix`` as an array."""
-    pattern = _pattern(free.shape[1:])
-    matrix = np.zeros((free.size, free.size), stencil.dtype)
-    matrix[pattern.rows, pattern.columns] = stencil.reshape(-1)[pattern.source]
-    diagonal = np.einsum("ii->i", matrix)
-    diagonal[~free.ravel()] = np.abs(diagonal).mean() or 1.0
-    return matrix
-
-
 class _Pattern(NamedTuple):
     """All entries that lie inside a grid, row by row, each from left to right.
 
@@ -174,7 +164,6 @@ class _Pattern(NamedTuple):
     n begins at ``begins[n]``.
     """
 
-    rows: NDArray[np.int32]
     columns: NDArray[np.int32]
     begins: NDArray[np.int32]
     source: NDArray[np.intp]
@@ -185,22 +174,22 @@ class _Pattern(NamedTuple):
 def _pattern(node_shape: tuple[int, int, int]) -> _Pattern:
     """Entries of the matrix of a grid of so many nodes."""
     nz1, ny1, nx1 = node_shape
-    node = np.arange(nz1 * ny1 * nx1, dtype=np.int32).reshape(node_shape)
-    k, j, i = np.indices(node_shape, np.int32)
-    rows, columns, source = [], [], []
-    for m in range(27):
-        kk, jj, ii = k + m // 9 - 1, j + (m // 3) % 3 - 1, i + m % 3 - 1
-        inside = (kk >= 0) & (kk < nz1) & (jj >= 0) & (jj < ny1) & (ii >= 0) & (ii < nx1)
-        here, there = node[inside], node[kk[inside], jj[inside], ii[inside]]
-        start = ((k * ny1 + j) * 27 + m)[inside] * 9
-        for c in range(3):
-            for d in range(3):
-                rows.append(c * node.size + here)
-                columns.append(d * node.size + there)
-                source.append((start + 3 * c + d).astype(np.intp) * nx1 + i[inside])
-    row, column = np.concatenate(rows), np.concatenate(columns)
-    order = np.lexsort((column, row))
-    row, column = row[order], column[order]
-    begins = np.searchsorted(row, np.arange(3 * node.size + 1)).astype(np.int32)
-    diagonal = np.flatnonzero(row == column)
-    return _Pattern(row, column, begins, np.concatenate(source)[order], diagonal)
+    k, j, i = np.indices(node_shape, np.int32).reshape(3, -1, 1)
+    m = np.arange(27, dtype=np.int32)
+    kk, jj, ii = k + m // 9 - 1, j + (m // 3) % 3 - 1, i + m % 3 - 1
+    inside = (kk >= 0) & (kk < nz1) & (jj >= 0) & (jj < ny1) & (ii >= 0) & (ii < nx1)
+    nodes, near = len(inside), inside.sum(1)
+    # A row has the neighbours in their order, once for each component d of theirs.
+    component = np.arange(3, dtype=np.int32)[:, None]
+    each = np.broadcast_to(inside[:, None], (nodes, 3, 27))
+    there = (component * nodes + ((kk * ny1 + jj) * nx1 + ii)[:, None])[each]
+    start = ((k * ny1 + j) * 27 + m).astype(np.intp)[:, None] * 9 + component
+    source = [((start + 3 * c) * nx1 + i[:, None])[each] for c in range(3)]
+    begins = np.concatenate([[0], np.cumsum(np.tile(3 * near, 3))])
+    before = np.concatenate([c * near + inside[:, :13].sum(1) for c in range(3)])
+    return _Pattern(
+        np.tile(there, 3),
+        begins.astype(np.int32),
+        np.concatenate(source),
+        begins[:-1] + before,
+    )

@@ -105,7 +105,7 @@ class Dissection:
         families: list[list[int]] = [[] for _ in pivots]
         borders: list[Numbers] = []
         for front, (nodes, end) in enumerate(zip(pivots, ends, strict=True)):
-            near = [rank[self.graph[nodes].indices], *(borders[c] for c in families[front])]
+            near = [rank[_near(self.graph, nodes)[0]], *(borders[c] for c in families[front])]
             reached = np.unique(np.concatenate(near))
             borders.append(reached[reached >= end])
             if parents[front] >= 0:
@@ -149,7 +149,8 @@ class Factors:
     """
 
     def __init__(self, matrix: sp.csr_matrix, dissection: Dissection, unknowns: Numbers) -> None:
-        self._fronts, self._unknowns = dissection.fronts, unknowns
+        self._fronts = dissection.fronts
+        self._order = unknowns[self._fronts.order].ravel()
         by_column = matrix.tocsc()
         nodes, components = np.empty(unknowns.size, np.intp), np.empty(unknowns.size, np.intp)
         nodes[unknowns] = np.arange(len(unknowns))[:, None]
@@ -170,16 +171,15 @@ class Factors:
         size, count = rhs.shape
         width = min(_TOGETHER, count)
         work = np.zeros((-(-count // width), size, width))
-        order = self._unknowns[self._fronts.order].ravel()
         for n, block in enumerate(work):
-            part = rhs[order, n * width : (n + 1) * width]
+            part = rhs[self._order, n * width : (n + 1) * width]
             block[:, : part.shape[1]] = part
         with blas_threads(1):
             _solve(self._fronts, self._values, work)
         out = np.empty((size, count))
         for n, block in enumerate(work):
             part = out[:, n * width : (n + 1) * width]
-            part[order] = block[:, : part.shape[1]]
+            part[self._order] = block[:, : part.shape[1]]
         return out
 
 
@@ -221,12 +221,25 @@ def _cut(graph: sp.csr_matrix, positions: Array) -> tuple[list[Numbers], list[in
         left = nodes[~right]
         beyond[:] = 0.0
         beyond[nodes[right]] = 1.0
-        cut = graph[left] @ beyond > 0
+        near, row = _near(graph, left)
+        cut = np.bincount(row, beyond[near], left.size) > 0
         halves = [left[~cut], nodes[right]]
         return add(left[cut], tuple(part(half) for half in halves if half.size))
 
     part(np.arange(len(positions)))
     return pivots, parents
+
+
+def _near(graph: sp.csr_matrix, nodes: Numbers) -> tuple[NDArray[np.integer], Numbers]:
+    """The nodes that have entries with some, and which of these each of them has its entry with.
+
+    Sparse matrices say the same, but take ten times as long for a few rows.
+    """
+    begin = graph.indptr[nodes]
+    count = graph.indptr[nodes + 1] - begin
+    row = np.repeat(np.arange(nodes.size), count)
+    skipped = begin - np.cumsum(count) + count
+    return graph.indices[np.arange(row.size) + skipped[row]], row
 
 
 def _changes(

@@ -1,8 +1,8 @@
 """Geometric multigrid for block stencils on the structured grid.
 
 Chebyshev smoothing over 3 x 3 block Jacobi, trilinear interpolation between nested node sets of
-any length, Galerkin coarse operators, LU on the coarsest level. Coarse unknowns are constrained
-where the fine node they sit on is.
+any length, Galerkin coarse operators, exact factors on the coarsest level. Coarse unknowns are
+constrained where the fine node they sit on is.
 """
 
 from __future__ import annotations
@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
-from optical_palpation.parallel import blas_threads
-
 from . import stencil as st
-from .direct import dense_matrix
+from .direct import dissection, sparse_matrix
+from .factors import Factors
 
 Vector = NDArray[np.float32]
 
@@ -113,13 +111,14 @@ class Level:
         centre, half = 0.5 * (high + low), 0.5 * (high - low)
         sigma = centre / half
         rho = 1 / sigma
-        if from_zero:
-            self.x[:] = 0
-        self._step(self.b if from_zero else self.residual(), 0.0, 1 / centre, self.x)
+        keeps, gains = [0.0], [1 / centre]
         for _ in range((_BEFORE if from_zero else _AFTER) - 1):
             new = 1 / (2 * sigma - rho)
-            self._step(self.residual(), new * rho, 2 * new / half, self.x)
+            keeps.append(new * rho)
+            gains.append(2 * new / half)
             rho = new
+        keep, gain = np.array([keeps, gains], np.float32)
+        st.smooth(self.stencil, self.inverse, keep, gain, from_zero, self.b, self.r, self.d, self.x)
 
     def residual(self) -> Vector:
         """Return b - S x, in r."""
@@ -174,9 +173,9 @@ class Hierarchy:
                     st.store(plane, coarser.stencil, k)
         coarsest = self.levels[-1]
         self._free = free
-        dense = dense_matrix(st.expanded(coarsest.stencil, coarsest.node_shape[2]), free)
-        with blas_threads(1):
-            self._lu = scipy.linalg.lu_factor(dense, check_finite=False)
+        matrix = sparse_matrix(st.expanded(coarsest.stencil, coarsest.node_shape[2]), free)
+        unknowns = np.arange(free.size).reshape(3, -1).T
+        self._factors = Factors(matrix, dissection(coarsest.node_shape), unknowns)
 
     def cycle(self, b: Vector) -> Vector:
         """One V-cycle from zero for the right-hand side ``b`` (with halo); the result is reused."""
@@ -203,8 +202,8 @@ class Hierarchy:
                 level.smooth(from_zero=True)
                 st.restrict(level.residual(), coarser.b, *_to_coarse(level))
         coarsest = levels[-1]
-        rhs = np.where(self._free, st.interior(coarsest.b, coarsest.node_shape), 0).ravel()
-        solution = scipy.linalg.lu_solve(self._lu, rhs, check_finite=False)
+        rhs = np.where(self._free, st.interior(coarsest.b, coarsest.node_shape), 0.0)
+        solution = self._factors.solve(rhs.reshape(-1, 1))
         st.interior(coarsest.x, coarsest.node_shape)[:] = solution.reshape(self._free.shape)
         for coarser, level in pairwise(levels[::-1]):
             with st.threads_for(level.node_shape):

@@ -108,7 +108,6 @@ class Lubrication:
     ) -> None:
         self.shear_modulus = shear_modulus
         self.height = float(depth[-1] - depth[0])
-        self.free_sides = free_sides
         self.axes = [_aggregated(nodes, _CELL * self.height) for nodes in (y, x)]
         centres = [0.5 * (nodes[1:] + nodes[:-1]) for nodes in (y, x)]
         #: From cells to elements, along y and x.
@@ -116,6 +115,8 @@ class Lubrication:
             _hats(0.5 * (cells[1:] + cells[:-1]), at)
             for cells, at in zip(self.axes, centres, strict=True)
         ]
+        ny, nx = (len(axis) - 1 for axis in self.axes)
+        self._diffusion = _Diffusion((ny, nx), free_sides)
 
     def prepare(self, stiffness: Array, touching: Array, bulk_modulus: float) -> None:
         """Factorise the equation.
@@ -145,7 +146,7 @@ class Lubrication:
             # what nothing holds moves as far as the layer is long
             mobility = np.minimum(mobility, np.diff(axis).sum() ** 2 / mu)
             conductance.append(2 * mobility * area / sizes[d] ** 2)
-        matrix = _diffusion(conductance, area * (1 / bulk_modulus + opening), self.free_sides)
+        matrix = self._diffusion.matrix(conductance, area * (1 / bulk_modulus + opening))
         self._factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
     def solve(self, change: NDArray[np.floating]) -> Pressure:
@@ -157,33 +158,46 @@ class Lubrication:
         return (wy @ pressure @ wx.T).astype(np.float32)
 
 
-def _diffusion(conductance: list[Array], source: Array, free_sides: bool) -> sp.csc_matrix:
-    """Matrix of the finite-volume form of -div(m grad p) + open p.
+class _Diffusion:
+    """The finite-volume form of -div(m grad p) + open p, on cells (ny, nx).
 
-    ``conductance`` are those between the middle of a cell and its faces along y and x, ``source``
-    is open times the cell's area; at free sides the pressure vanishes.
+    What does not depend on m and open: which entries it has.
     """
-    number = np.arange(source.size).reshape(source.shape)
-    diagonal = source.copy()
-    rows, columns, values = [], [], []
-    for d, half in enumerate(conductance):
-        low, high = (
-            np.moveaxis(number, d, 0)[n].ravel() for n in (slice(None, -1), slice(1, None))
-        )
-        flow = 1 / (1 / half.ravel()[low] + 1 / half.ravel()[high])
-        rows += [low, high]
-        columns += [high, low]
-        values += [-flow, -flow]
-        np.add.at(diagonal.ravel(), low, flow)
-        np.add.at(diagonal.ravel(), high, flow)
-        if free_sides:
-            ends = np.moveaxis(number, d, 0)[[0, -1]].ravel()
-            np.add.at(diagonal.ravel(), ends, half.ravel()[ends])
-    rows.append(number.ravel())
-    columns.append(number.ravel())
-    values.append(diagonal.ravel())
-    entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-    return sp.csc_matrix(entries, shape=(source.size, source.size))
+
+    def __init__(self, shape: tuple[int, int], free_sides: bool) -> None:
+        self.free_sides = free_sides
+        number = np.arange(shape[0] * shape[1]).reshape(shape)
+        #: Of the faces across y and across x: the cells before and behind each.
+        self.pairs = [(number[:-1].ravel(), number[1:].ravel())]
+        self.pairs.append((number[:, :-1].ravel(), number[:, 1:].ravel()))
+        #: The cells at the ends along y and along x.
+        self.ends = [number[[0, -1]].ravel(), number[:, [0, -1]].ravel()]
+        here = [cells for low, high in self.pairs for cells in (low, high)]
+        there = [cells for low, high in self.pairs for cells in (high, low)]
+        rows, columns = (np.concatenate([*of, number.ravel()]) for of in (here, there))
+        self._order = np.lexsort((rows, columns))
+        self._rows = rows[self._order].astype(np.int32)
+        begins = np.searchsorted(columns[self._order], np.arange(number.size + 1))
+        self._begins = begins.astype(np.int32)
+
+    def matrix(self, conductance: list[Array], source: Array) -> sp.csc_matrix:
+        """Return the matrix.
+
+        ``conductance`` are those between the middle of a cell and its faces along y and x,
+        ``source`` is open times the cell's area; at free sides the pressure vanishes.
+        """
+        diagonal = source.copy().ravel()
+        values = []
+        for half, (low, high), ends in zip(conductance, self.pairs, self.ends, strict=True):
+            flow = 1 / (1 / half.ravel()[low] + 1 / half.ravel()[high])
+            values += [-flow, -flow]
+            for cells in (low, high):
+                diagonal[cells] += flow  # a cell is but once before or behind a face
+            if self.free_sides:
+                np.add.at(diagonal, ends, half.ravel()[ends])
+        entries = np.concatenate([*values, diagonal])[self._order]
+        size = diagonal.size
+        return sp.csc_matrix((entries, self._rows, self._begins), shape=(size, size))
 
 
 def _mobility(below: Array, above: Array, mu: float, h: float) -> Array:

@@ -22,7 +22,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from optical_palpation.parallel import in_parallel
+from optical_palpation.parallel import blas_threads, in_parallel
 
 from .intrinsics import prefetch
 from .lanes import FAST, LARGEST, L
@@ -77,14 +77,15 @@ def empty_stencil(node_shape: tuple[int, int, int]) -> Stencil:
 @contextmanager
 def threads_for(node_shape: tuple[int, ...]) -> Iterator[None]:
     """Leave small grids to one thread."""
-    if math.prod(node_shape) >= _NODES_OF_ONE_THREAD:
+    allowed = nb.get_num_threads()
+    if allowed == 1 or math.prod(node_shape) >= _NODES_OF_ONE_THREAD:
         yield
         return
-    allowed = nb.get_num_threads()
     given = _allowed.set(max(allowed, _allowed.get()))
     nb.set_num_threads(1)
     try:
-        yield
+        with blas_threads(1):
+            yield
     finally:
         nb.set_num_threads(allowed)
         _allowed.reset(given)
@@ -201,6 +202,24 @@ def smoothing_step(inverse, r, keep, gain, d, x):
     """D = keep d + gain D^-1 r, x = x + d; D on the right the block diagonal."""
     nz1, ny1 = inverse.shape[:2]
     in_parallel(_smooth_rows, nz1 * ny1, (inverse, r, keep, gain, d, x))
+
+
+@nb.njit(cache=True)
+def smooth(stencil, inverse, keeps, gains, from_zero, b, r, d, x):
+    """Go through smoothing steps on x for the right-hand side b, from x = 0 on if so wished.
+
+    One call does them all: on small grids a call takes longer than what it does.
+    """
+    nz1, ny1 = inverse.shape[:2]
+    if from_zero:
+        x[:] = 0
+    for step in range(len(gains)):
+        residual = b
+        if step > 0 or not from_zero:
+            in_parallel(_subtract_rows, nz1 * ny1, (stencil, x, b, r))
+            residual = r
+        keep, gain = keeps[step], gains[step]
+        in_parallel(_smooth_rows, nz1 * ny1, (inverse, residual, keep, gain, d, x))
 
 
 @nb.njit(fastmath=FAST, error_model="numpy")
