@@ -53,8 +53,10 @@ RELIEFS = (
     "needles",
     "checkerboard",
 )
-#: What some of the statuses of a result are called in the tables; the others are ``converged``.
-ENDS = {Status.COARSE_EDGES: "coarse edges", Status.COARSER: "on coarser"}
+#: What results are called that are not simply ``converged``: by an attribute that they have, and
+#: those that are a little out of balance.
+INSTEAD = {"asked_edges_failure": "coarse edges", "asked_elements_failure": "on coarser"}
+NEARLY = "nearly"
 #: Elements of a problem, at the most: without those that edges add, and with them.
 MOST_ELEMENTS, MOST_WITH_EDGES = 6000, 8000
 
@@ -214,7 +216,7 @@ def _blobs(x, y, rng):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a case ended: ``converged``, one of ``ENDS``, ``ConvergenceError``, or badly."""
+    """How a case ended: as ``_ended`` says, in a ``ConvergenceError``, or badly."""
 
     case: Case
     kind: str
@@ -224,7 +226,7 @@ class Outcome:
 
     @property
     def allowed(self) -> bool:
-        return self.kind in ("converged", *ENDS.values(), "ConvergenceError")
+        return self.kind in ("converged", NEARLY, *INSTEAD.values(), "ConvergenceError")
 
 
 class TimeLimit(Exception):
@@ -252,7 +254,7 @@ def attempt(case: Case, solver: str = "auto", limit: int = 120, progress=None) -
     try:
         result = case.solve(solver, count)
         text = "; ".join(faults(result))
-        kind = "wrong result" if text else ENDS.get(result.maps.attrs["status"], "converged")
+        kind = "wrong result" if text else _ended(result)
     except TimeLimit:
         kind, text = "time limit", f"{limit} s"
     except ConvergenceError as error:
@@ -262,6 +264,15 @@ def attempt(case: Case, solver: str = "auto", limit: int = 120, progress=None) -
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
     return Outcome(case, kind, time.process_time() - start, newton, text)
+
+
+def _ended(result: StressResult) -> str:
+    """What a result is called in the tables."""
+    attrs = result.maps.attrs
+    for failure, name in INSTEAD.items():
+        if failure in attrs:
+            return name
+    return NEARLY if attrs["status"] == Status.NEARLY else "converged"
 
 
 def faults(result: StressResult) -> list[str]:

@@ -41,9 +41,9 @@ _LEAST_RATIO = 1.2
 _LATERAL, _LEAST_LATERAL = np.array([False, True, True]), 4
 #: Elements of the largest grid on which the depth is compared, if the nested iteration has not.
 _ELEMENTS = 4000
-#: Newton iterations that another grid may take: most layers come to rest in 10 to 90, few that take
-#: more do, and those that do take as long as the solution itself.
-_MOST = 180
+#: Newton iterations that another grid may take: most layers come to rest in 10 to 40, few that take
+#: more than these do, and those that do take as long as the solution itself.
+_MOST = 90
 #: Standard deviation, in elements, of the Gaussian over which the error of the map is averaged. The
 #: difference of two solutions has zeros where neither of them is right.
 _AVERAGED = 2.0
