@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from .contact import remember_slip, slip_coordinate
 from .direct import DirectSolver, direct_solver
+from .effort import Effort, counted
 from .friction import held_fast
 from .grid import LayerGrid, contact_nodes, edge_width, face_and_sides, node_positions
 from .imprint import Imprint
@@ -58,12 +59,13 @@ _FAR_BEFORE = 0.07
 #: from the beginning. It takes seconds; on finer grids it is followed from the last load at which
 #: the layer can be, and one that can be but finds no equilibrium is sooner at rest against drag.
 _QUICK = 30_000
-#: Elements times Newton iterations in which the load of the finest grid may be followed, about a
-#: minute; and the most iterations. Hard layers come nearer all the time and want many.
-_WORK, _ITERATIONS = 2_000_000, 1000
-#: Newton iterations that a layer with narrow free edges may take on one grid, before coarse ones
-#: are tried and after that; elements times iterations in which these must become narrow again.
-_NARROW, _NARROW_WORK = 150, 1_500_000
+#: Newton iterations in which the load must be followed on the finest grid, where that takes
+#: seconds. Hard layers come nearer all the time and want many; on coarse grids more gain little.
+_ITERATIONS = 1000
+#: Effort, s, after which the load of a layer of so many elements is followed no further, in
+#: proportion on more; the share of it after which coarse free edges are tried; and how much more
+#: than that a loaded layer may take to come to rest.
+_PATIENCE, _PATIENT, _NARROW, _AT_LAST = 50.0, 8000, 0.3, 1.1
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.
@@ -302,18 +304,20 @@ def solve(
     """
     levels = grids(problem) if cascade else [problem]
     guided = similar is not None and any(similar.guides(level) for level in levels)
-    nested = _Nested(
-        problem,
-        bound_guess,
-        solver,
-        tolerances or (relaxed(TOLERANCES, _GUIDED) if guided else TOLERANCES),
-        control or StepControl(),
-        neighbours,
-        similar,
-        on_iteration,
-        guided,
-    )
-    solution = nested.solved(levels)
+    with counted() as effort:
+        nested = _Nested(
+            problem,
+            bound_guess,
+            solver,
+            tolerances or (relaxed(TOLERANCES, _GUIDED) if guided else TOLERANCES),
+            control or StepControl(),
+            neighbours,
+            similar,
+            on_iteration,
+            guided,
+            effort,
+        )
+        solution = nested.solved(levels)
     if similar is not None:
         similar.become(nested.own)
     return solution
@@ -323,9 +327,10 @@ def solve(
 class _Nested:
     """The nested iteration of one problem; for its arguments see ``solve``.
 
-    ``allowed`` are the Newton iterations in which the load must be followed on the finest grid, if
-    given. ``path`` is the last load path that was followed, from the first of its states on, and
-    the problem on its grid; ``spent`` are the Newton iterations that it took.
+    ``effort`` is what was spent; ``narrows`` says whether this makes the free edges of another
+    solution narrower. ``path`` is the last load path that was followed, from the first
+    of its states on, and the problem on its grid; ``otherwise`` what there is with coarse edges, if
+    only on coarser elements.
     """
 
     problem: LayerProblem
@@ -337,10 +342,11 @@ class _Nested:
     similar: Similar | None
     on_iteration: Callable[[LayerProblem, float, int, Balance, int], None] | None
     guided: bool
-    allowed: int | None = None
+    effort: Effort
+    narrows: bool = False
     record: list[tuple[int, float, int]] = field(default_factory=list, init=False)
     path: tuple[LayerProblem, list[LayerState]] | None = field(default=None, init=False)
-    spent: int = field(default=0, init=False)
+    otherwise: Solution | None = field(default=None, init=False)
     own: Similar = field(default_factory=Similar, init=False)
 
     def __post_init__(self) -> None:
@@ -348,6 +354,8 @@ class _Nested:
         self._coarser, self._on_the_way = relaxed(least, _COARSER), relaxed(least, _ON_THE_WAY)
         self._resting = relaxed(least, _RESTING)
         self._may_widen = _narrow_edges(self.problem)  # until that was tried
+        more = max(1.0, self.problem.grid.n_elements / _PATIENT)
+        self._longest = np.inf if self.solver == "direct" else _PATIENCE * more
 
     def solved(self, levels: list[LayerProblem]) -> Solution:
         """Solve on all grids, the last of them first."""
@@ -366,14 +374,13 @@ class _Nested:
                     self._may_widen = False
                     if solution is not None:
                         return solution
+                    if self._enough(level):  # finer grids would be given up at once
+                        raise self._failed(failure, levels, found) from None
                 if carried:
                     state = self._settled(level, carried)
                 # what a coarse grid cannot bear a finer one may
                 if state is None and level is self.problem:
-                    instead = self._instead(levels, found)
-                    if instead is None:
-                        raise
-                    raise OnlyOnCoarser(failure, instead) from None
+                    raise self._failed(failure, levels, found) from None
             if state is not None:
                 found.append((n, state))
         return self._solution(levels, found)
@@ -388,7 +395,7 @@ class _Nested:
         Returns
         -------
         Solution or None
-            None where the layer does not arrive with coarse edges either.
+            None where the layer does not arrive on these elements with coarse edges either.
 
         Raises
         ------
@@ -399,20 +406,21 @@ class _Nested:
         nested = replace(self, problem=coarse, neighbours=None, similar=None, guided=False)
         try:
             solution = nested.solved(grids(coarse))
+        except OnlyOnCoarser as failure:
+            self.otherwise = failure.solution
+            return None
         except LoadNotReached:
             return None
-        work, widths = _NARROW_WORK, _edge_widths(self.problem)
+        widths = _edge_widths(self.problem)
         for width in widths:
             level = self.problem if width == widths[-1] else with_edges(self.problem, width)
-            allowed = min(_NARROW, work // level.grid.n_elements)
-            path, nested = nested.path, replace(nested, problem=level, allowed=allowed)
+            path, nested = nested.path, replace(nested, problem=level, narrows=True)
             nested.path, nested.record = path, [*solution.record]
             carried = prolong(solution.state, solution.problem, level)
             try:
                 state = nested._carried_over(level, carried) or nested._loaded(level, carried)
             except LoadNotReached as failure:
                 raise OnlyOnCoarser(failure, solution, at_edges=True) from None
-            work -= nested.spent * level.grid.n_elements
             solution = replace(
                 solution,
                 problem=level,
@@ -432,6 +440,16 @@ class _Nested:
         if len(found) > 1 and found[-2][0] == number + 1:
             coarser = levels[number + 1], found[-2][1]
         return Solution(levels[number], state, self.record, coarser, self.tolerances, self.guided)
+
+    def _failed(
+        self,
+        failure: LoadNotReached,
+        levels: list[LayerProblem],
+        found: list[tuple[int, LayerState]],
+    ) -> LoadNotReached:
+        """The failure, with what there is instead."""
+        instead = self._instead(levels, found) or self.otherwise
+        return failure if instead is None else OnlyOnCoarser(failure, instead)
 
     def _instead(
         self, levels: list[LayerProblem], found: list[tuple[int, LayerState]]
@@ -519,7 +537,8 @@ class _Nested:
             beside.begin(level, begin, make_solver(level, self.solver))
         visited: list[LayerState] = []
         kept = self.similar is not None and whole  # guides the next layer
-        guides = kept or level is not self.problem or level.grid.n_elements <= _QUICK
+        quick = level.grid.n_elements <= _QUICK
+        guides = kept or level is not self.problem or quick
         path = Path(
             LoadedLayer(level, self._solvers(level), CARRIED if self.guided else SLOW),
             self._wanted(level),
@@ -531,8 +550,9 @@ class _Nested:
             guide=guide,
             similar=self.similar.guide(level) if self.similar and whole else None,
             visited=visited if guides else None,
-            allowed=self._allowed(level),
+            allowed=_ITERATIONS if level is self.problem and quick else FOLLOWED,
             snaps=SNAPS if self._soon(level) else None,
+            enough=partial(self._enough, level),
         )
         try:
             path.follow(full, beside=beside)
@@ -540,7 +560,6 @@ class _Nested:
             if beside:
                 beside.stop("the load was not reached")
             raise
-        self.spent = path.spent
         if guides:
             self.path = level, visited
         if kept and path.smooth:
@@ -594,6 +613,7 @@ class _Nested:
             self.control,
             partial(self.on_iteration, level) if self.on_iteration else None,
             resting=wanted or self._rest(level),
+            enough=partial(self._enough, level, _AT_LAST),
         )
         try:
             path.settle()
@@ -602,19 +622,14 @@ class _Nested:
         self.record += [(level.grid.n_elements, *step) for step in path.record]
         return path.state
 
-    def _allowed(self, level: LayerProblem) -> int:
-        """Newton iterations in which a load must be followed; on coarse grids more gain little."""
-        if level is self.problem and self.allowed is not None:
-            return self.allowed
-        if self._soon(level):
-            return _NARROW
-        if level is not self.problem:
-            return FOLLOWED
-        return max(FOLLOWED, min(_WORK // level.grid.n_elements, _ITERATIONS))
-
     def _soon(self, level: LayerProblem) -> bool:
         """Whether a load path is given up soon, because coarse edges get there sooner."""
         return self._may_widen and level.grid.n_elements <= _QUICK
+
+    def _enough(self, level: LayerProblem, more: float = 1.0) -> bool:
+        """Whether what a path may take, or ``more`` than that, has been spent."""
+        share = _NARROW if self._soon(level) and not self.narrows else 1.0
+        return self.effort.spent > share * more * self._longest
 
     def _wanted(self, level: LayerProblem) -> Tolerances:
         return self.tolerances if level is self.problem else self._coarser

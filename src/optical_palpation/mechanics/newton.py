@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .contact import ContactLinearisation, FaceFriction, linearise, remember_slip, slip_coordinate
 from .direct import DirectSolver, direct_solver
+from .effort import spend
 from .elimination import Box, part, put_back, unbalanced_columns
 from .friction import Ahead
 from .grid import face_and_sides
@@ -274,6 +275,11 @@ def _direction(
     rough = now.force_error > _CLOSE and problem.edges == "free"
     limit = min(tolerances.krylov, _ROUGH) if rough else tolerances.krylov
     du, dp, krylov = solver.solve(rhs, tolerances.linear, limit)
+    nodes = rhs.displacement[0].size
+    if isinstance(solver, DirectSolver):
+        spend(nodes, 0, solver.work * nodes)
+    else:
+        spend(nodes, krylov, 0.0)
     if not (np.isfinite(du).all() and np.isfinite(dp).all()):
         raise HardSystem("the linear system could not be solved")
     if krylov >= tolerances.krylov:

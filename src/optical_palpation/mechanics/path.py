@@ -49,6 +49,8 @@ _HELD, _SLIDING = 50, 10
 #: Why they do not.
 SLIDES = "nothing holds the layer sideways: it slides from under what presses it"
 _RESTLESS = "the layer does not come to rest"
+#: Why a path is given up that might lead there.
+TOO_LONG = "it took too long"
 #: Share of the contact forces out of balance with which a state counts as nearly one of equilibrium
 #: where contact at a few nodes changes for ever, once Newton's method fails there: if there is
 #: another way, if there is none, and at last.
@@ -265,6 +267,8 @@ class Path(Generic[AnyState]):
         Newton iterations in which the path must arrive.
     snaps
         How often it may snap or slide on its way, if not as often as it likes.
+    enough
+        Says when it is given up wherever it is, because it takes too long.
     record
         (load, Newton iterations) of all that were accepted.
     spent
@@ -284,6 +288,7 @@ class Path(Generic[AnyState]):
     visited: list[AnyState] | None = None
     allowed: int = FOLLOWED
     snaps: int | None = None
+    enough: Callable[[], bool] | None = None
     record: list[tuple[float, int]] = field(default_factory=list, init=False)
     spent: int = field(default=0, init=False)
     _mixture: tuple[float, float] = field(default=(1.0, 0.0), init=False)  # guide, line
@@ -508,6 +513,8 @@ class Path(Generic[AnyState]):
             if self.report:
                 self.report(trial.load, iteration, now, krylov)
 
+        if self.enough and self.enough():
+            raise self._stopped(TOO_LONG)
         try:
             return self.loaded.equilibrate(trial, wanted, count, drag)
         except NotConverged as failure:

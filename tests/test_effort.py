@@ -1,0 +1,141 @@
+"""A layer that takes too long is given up, after the same steps on every machine."""
+
+import numpy as np
+import pytest
+
+from optical_palpation.errors import ConvergenceError
+from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics import cascade
+from optical_palpation.mechanics.effort import counted, spend
+from optical_palpation.mechanics.path import TOO_LONG, LoadNotReached
+from optical_palpation.palpation import computational_stress
+from optical_palpation.palpation.meshing import expected_forces, layer_problem
+from optical_palpation.thickness import thickness_map
+
+SILICONE = MooneyRivlin(2.23, 0.703)
+AXIS = np.linspace(0, 2, 41)
+HELD = {"window": 0.3, "sample": 0.3}
+
+
+def plate():
+    heights = np.tile(0.5 - 0.15 * AXIS / 2, (41, 1))
+    return thickness_map(heights, x=AXIS, y=AXIS, where="tilted plate")
+
+
+def problem(size=0.25):
+    loaded = plate()
+    unloaded = loaded.copy(data=np.full(loaded.shape, 0.5))
+    sizes = size, size, 0.1
+    return layer_problem(loaded, unloaded, None, SILICONE, HELD, sizes, "free", 0.1, 0.001)
+
+
+def solved(layer, **options):
+    return cascade.solve(layer, lambda level: expected_forces(level, SILICONE), **options)
+
+
+def spent(layer, **options):
+    """What ``cascade.solve`` counted."""
+    found = []
+
+    class Kept(cascade._Nested):
+        def __post_init__(self):
+            super().__post_init__()
+            if not found:
+                found.append(self.effort)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cascade, "_Nested", Kept)
+        solved(layer, **options)
+    return found[0].spent
+
+
+def test_steps_are_counted_within_and_nowhere_else():
+    spend(1000, 10, 0.0)
+    with counted() as outer:
+        spend(1000, 10, 0.0)
+        before = outer.spent
+        with counted() as inner:
+            spend(1000, 20, 0.0)
+        assert outer.spent == before > 0
+        assert inner.spent > before
+        spend(1000, 0, 1e9)
+        assert outer.spent > 2 * before
+
+
+def test_effort_grows_with_the_elements_and_not_with_the_machine():
+    small = spent(problem())
+    assert small == spent(problem())
+    assert spent(problem(0.125), solver="direct") > spent(problem(), solver="direct") > 0
+    assert spent(problem(0.125)) > small
+
+
+def test_a_layer_that_takes_too_long_is_given_up(monkeypatch):
+    whole = spent(problem())
+    monkeypatch.setattr(cascade, "_PATIENCE", 0.5 * whole)
+    with pytest.raises(LoadNotReached, match=TOO_LONG) as stopped:
+        solved(problem())
+    assert 0 < stopped.value.load < 1
+    with pytest.raises(ConvergenceError, match=r"loaded to .* % only: it took too long"):
+        computational_stress(
+            plate(),
+            0.5,
+            SILICONE,
+            window_friction=0.3,
+            sample_friction=0.3,
+            element_size=(0.25, 0.25, 0.1),
+        )
+    # the reference takes its time, and as large a layer as this one has more of it
+    assert solved(problem(), solver="direct").state.load == 1.0
+    monkeypatch.setattr(cascade, "_PATIENT", problem().grid.n_elements / 10)
+    assert solved(problem()).state.load == 1.0
+
+
+def test_edges_become_narrower_while_there_is_time(monkeypatch):
+    """The layer arrives with coarse edges, and narrow ones are given up at once."""
+    loaded = cascade._Nested._loaded
+
+    def stop(nested, level, carried):
+        if level is layer and not nested.narrows:
+            raise LoadNotReached(0.7, "the rim snaps")
+        return loaded(nested, level, carried)
+
+    layer = problem()
+    monkeypatch.setattr(cascade._Nested, "_loaded", stop)
+    monkeypatch.setattr(cascade._Nested, "_carried_over", lambda *_: None)
+    solution = solved(layer)
+    assert solution.problem is layer
+    assert solution.wider is not None
+    coarse = spent(cascade.with_edges(layer, None))
+    monkeypatch.setattr(cascade, "_PATIENCE", coarse + 1e-6)
+    with pytest.raises(cascade.OnlyOnCoarser, match=TOO_LONG) as stopped:
+        solved(layer)
+    assert stopped.value.at_edges
+    assert stopped.value.solution.problem.grid.edge_widths[0] > 0.2
+
+
+def test_what_there_is_on_coarser_elements_with_coarse_edges_is_better_than_nothing(monkeypatch):
+    fine = problem(0.06)
+    loaded = cascade._Nested._loaded
+
+    def stop(nested, level, carried):
+        if cascade._narrow_edges(level) or level is nested.problem:
+            raise LoadNotReached(0.7, "the rim snaps")
+        return loaded(nested, level, carried)
+
+    monkeypatch.setattr(cascade._Nested, "_loaded", stop)
+    for method in ("_carried_over", "_settled"):
+        found = getattr(cascade._Nested, method)
+
+        def not_on_the_finest(nested, level, *given, found=found):
+            finest = cascade._narrow_edges(level) or level is nested.problem
+            return None if finest else found(nested, level, *given)
+
+        monkeypatch.setattr(cascade._Nested, method, not_on_the_finest)
+    monkeypatch.setattr(cascade, "_PATH_ELEMENTS", (300, 16000))
+    with pytest.raises(cascade.OnlyOnCoarser, match="the rim snaps") as stopped:
+        solved(fine)
+    assert not stopped.value.at_edges
+    solution = stopped.value.solution
+    assert solution.state.load == 1.0
+    assert not cascade._narrow_edges(solution.problem)
+    assert solution.problem.grid.n_elements < fine.grid.n_elements / 2
