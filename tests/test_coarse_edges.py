@@ -144,7 +144,11 @@ def test_without_narrow_edges_the_result_is_that_of_the_elements_inside(stops):
     assert re.search(f"WARNING: this is the solution with {said}", summarise(result))
     assert any(re.search(said, text) for text in warnings_about(result))
     assert 0 < attrs["force_error_mN"] < attrs["sample_force_mN"]
-    assert attrs["edge_influence_unknown"].startswith("on a coarse grid, the layer with free sides")
+    stops.times = 0
+    narrow = stress(edge_check=True).maps.attrs
+    influence = "edge_influence_force"  # told on a grid with edges as coarse as those of the layer
+    assert attrs[influence] == pytest.approx(narrow[influence], rel=0.2)
+    assert attrs[influence] != narrow[influence]
 
 
 def test_the_error_of_the_mesh_holds_what_coarse_edges_are_off_by(stops):

@@ -29,7 +29,7 @@ NOTABLE = 0.05
 #: Elements across the field of view; with them the influence differs by a few hundredths from that
 #: on four times as many.
 _ACROSS = 16
-#: Width, in thicknesses, of the elements at the sides, on both grids.
+#: Least width, in thicknesses, of the elements at the sides, on both grids.
 _SIDE = 1 / 3
 #: Newton iterations in which each coarse solution must arrive; most take 10 to 20.
 _ALLOWED = 60
@@ -122,6 +122,9 @@ def edge_influence(
     """
     other: Edges = "free" if edges == "padded" else "padded"
     size = _size(problem, field)
+    # a layer whose free edges were left coarse bears no narrower ones
+    own = min(max(problem.grid.edge_widths), size) if edges == "free" else 0.0
+    edge = max(_SIDE * problem.grid.typical_thickness, own)
     problem = replace(problem, imprint=problem.imprint.smoothed(0.5 * size))
     apart = problem
     if within is not None:
@@ -132,7 +135,7 @@ def edge_influence(
     pressures = []
     for case, sides in cases:
         try:
-            pressures.append(_pressure(_solved(_coarse(case, sides, field, size)), x, y))
+            pressures.append(_pressure(_solved(_coarse(case, sides, field, size, edge)), x, y))
         except LoadNotReached as failure:
             unknown = f"on a coarse grid, the layer with {sides} sides {failure}"
             nowhere = np.full((y.size, x.size), np.nan)
@@ -175,15 +178,19 @@ def _size(problem: LayerProblem, field: tuple[float, float, float, float]) -> fl
 
 
 def _coarse(
-    problem: LayerProblem, sides: Edges, field: tuple[float, float, float, float], size: float
+    problem: LayerProblem,
+    sides: Edges,
+    field: tuple[float, float, float, float],
+    size: float,
+    edge: float,
 ) -> LayerProblem:
     """Return the problem, its imprint smoothed, on the coarse grid of elements of a ``size``, mm.
 
-    Its sides are free, roller or padded.
+    Its sides are free, roller or padded, elements there of a width ``edge``, mm.
     """
     x0, x1, y0, y1 = field
     thickness = problem.grid.typical_thickness
-    x, y = (node_positions(b - a, size, a, edge=_SIDE * thickness) for a, b in ((x0, x1), (y0, y1)))
+    x, y = (node_positions(b - a, size, a, edge=edge) for a, b in ((x0, x1), (y0, y1)))
     if sides == "padded":
         x, y = (padded_nodes(nodes, PADDING * thickness) for nodes in (x, y))
     layers = min(problem.grid.shape[0], int(np.clip(round(thickness / size), 2, 4)))
