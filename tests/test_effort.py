@@ -14,6 +14,7 @@ from optical_palpation.thickness import thickness_map
 
 SILICONE = MooneyRivlin(2.23, 0.703)
 AXIS = np.linspace(0, 2, 41)
+SHAPE = 5, 10, 20
 HELD = {"window": 0.3, "sample": 0.3}
 
 
@@ -50,15 +51,15 @@ def spent(layer, **options):
 
 
 def test_steps_are_counted_within_and_nowhere_else():
-    spend(1000, 10, 0.0)
+    spend(SHAPE, 10, 0.0)
     with counted() as outer:
-        spend(1000, 10, 0.0)
+        spend(SHAPE, 10, 0.0)
         before = outer.spent
         with counted() as inner:
-            spend(1000, 20, 0.0)
+            spend(SHAPE, 20, 0.0)
         assert outer.spent == before > 0
         assert inner.spent > before
-        spend(1000, 0, 1e9)
+        spend(SHAPE, 0, 1e9)
         assert outer.spent > 2 * before
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -275,11 +276,11 @@ def _direction(
     rough = now.force_error > _CLOSE and problem.edges == "free"
     limit = min(tolerances.krylov, _ROUGH) if rough else tolerances.krylov
     du, dp, krylov = solver.solve(rhs, tolerances.linear, limit)
-    nodes = rhs.displacement[0].size
+    shape = problem.grid.node_shape
     if isinstance(solver, DirectSolver):
-        spend(nodes, 0, solver.work * nodes)
+        spend(shape, 0, solver.work * math.prod(shape))
     else:
-        spend(nodes, krylov, 0.0)
+        spend(shape, krylov, 0.0)
     if not (np.isfinite(du).all() and np.isfinite(dp).all()):
         raise HardSystem("the linear system could not be solved")
     if krylov >= tolerances.krylov:
