@@ -65,7 +65,7 @@ _ITERATIONS = 1000
 #: Effort, s, after which the load of a layer of so many elements is followed no further, in
 #: proportion on more; the share of it after which coarse free edges are tried; and how much more
 #: than that a loaded layer may take to come to rest.
-_PATIENCE, _PATIENT, _NARROW, _AT_LAST = 60.0, 8000, 0.3, 1.15
+_PATIENCE, _PATIENT, _NARROW, _AT_LAST = 55.0, 8000, 0.3, 1.15
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.

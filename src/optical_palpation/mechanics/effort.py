@@ -3,7 +3,7 @@
 What does not come to rest has to be given up at some time. A clock would do so sooner on a slow or
 a busy machine than on a fast one, and results would depend on it. So the Newton steps of a solution
 are counted, each with the time that it takes on one core. Of ten random maps, easy ones and hard
-ones, the sum was 0.8 to 1.2 times the processor time.
+ones, the sum was 0.8 to 1.3 times the processor time.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 from .stencil import padded
 
-#: Seconds on one core (AMD EPYC 9004, 2.6 GHz) of a Newton step, whatever its size, of an iteration
-#: of the linear solver on a node, with what else grows with these, and of an operation of the exact
-#: one.
-_STEP, _ITERATION, _OPERATION = 2e-3, 7.5e-7, 9e-11
+#: Seconds on one core (AMD EPYC 9004, 2.6 GHz) of a Newton step: whatever its size, and besides its
+#: linear system on each node; of an iteration of the linear solver on a node; and of an operation
+#: of the exact one.
+_STEP, _ON_NODE, _ITERATION, _OPERATION = 1e-3, 3e-6, 4e-7, 9e-11
 
 
 @dataclass
@@ -52,4 +52,5 @@ def spend(node_shape: tuple[int, ...], iterations: int, operations: float) -> No
     effort = _counted.get()
     if effort is not None:
         nodes = math.prod(node_shape[:2]) * padded(node_shape[2])
-        effort.spent += _STEP + _ITERATION * nodes * iterations + _OPERATION * operations
+        on_node = _ON_NODE + _ITERATION * iterations
+        effort.spent += _STEP + on_node * nodes + _OPERATION * operations

@@ -449,15 +449,15 @@ def residuals(now: Iterate, tolerances: Tolerances = TOLERANCES) -> dict[str, An
 def instead_of(asked: LayerProblem, failure: OnlyOnCoarser) -> dict[str, Any]:
     """Attributes that say which elements a solution was to be on, and why it is on others."""
     why = f"the layer was loaded {failure.how_far()}: {failure.reason}"
-    if not failure.at_edges:
-        return {
-            "asked_element_size_mm": list(asked.grid.spacing[::-1]),
-            "asked_elements_failure": why,
-        }
-    return {
+    edges = {
         "edge_element_size_mm": list(failure.solution.problem.grid.edge_widths[::-1]),
         "asked_edge_element_size_mm": list(asked.grid.edge_widths[::-1]),
-        "asked_edges_failure": why,
+    }
+    if failure.at_edges:
+        return edges | {"asked_edges_failure": why}
+    return edges | {
+        "asked_element_size_mm": list(asked.grid.spacing[::-1]),
+        "asked_elements_failure": why,
     }
 
 
