@@ -43,7 +43,7 @@ _LATERAL, _LEAST_LATERAL = np.array([False, True, True]), 4
 _ELEMENTS = 4000
 #: Newton iterations that another grid may take: most layers come to rest in 10 to 40, few that take
 #: more than these do, and those that do take as long as the solution itself.
-_MOST = 90
+_MOST = 110
 #: Standard deviation, in elements, of the Gaussian over which the error of the map is averaged. The
 #: difference of two solutions has zeros where neither of them is right.
 _AVERAGED = 2.0
