@@ -80,16 +80,18 @@ def measure(nx: int, ny: int, nz: int) -> list[tuple[str, float, int]]:
 
     row("constraints, storing", store, *tangent, *fine.stencil)
     row("coarse operators", lambda: hierarchy.update(free), *fine.stencil)
-    one = np.float32(1)
+    one = np.ones(1, np.float32)
     row(
         "residual",
         lambda: st.subtract_product(fine.stencil, fine.x, fine.b, fine.r),
         *fine.stencil, fine.x, fine.b, fine.r,
     )  # fmt: skip
     row(
-        "smoothing step",
-        lambda: st.smoothing_step(fine.inverse, fine.r, one, 0 * one, fine.d, fine.x),
-        fine.inverse, fine.r, fine.d, fine.x,
+        "step with residual",
+        lambda: st.smooth(
+            fine.stencil, fine.inverse, one, 0 * one, False, fine.b, fine.r, fine.d, fine.x
+        ),
+        *fine.stencil, fine.x, fine.b, fine.r, fine.inverse, fine.r, fine.d, fine.x,
     )  # fmt: skip
     rhs = st.halo_zeros(fine.node_shape)
     st.interior(rhs, fine.node_shape)[:] = np.where(free, force, 0)

@@ -59,9 +59,8 @@ class DirectSolver:
         system = self.system
         matrix = sparse_matrix(system.stencil, system.free)
         if system.flow is None and system.gamma == system.bulk_modulus:  # dp follows from du
-            unknowns = np.arange(rhs.displacement.size).reshape(3, -1).T
             with all_threads():
-                factors = Factors(matrix, dissection(self._node_shape), unknowns)
+                factors = factors_of(matrix, self._node_shape)
             u: Vector = factors.solve(rhs.displacement.astype(float).reshape(-1, 1))
             u = u.reshape(rhs.displacement.shape)
             p: Vector = system.bulk_modulus / system.volume * (system.volume_change(u) - rhs.volume)
@@ -92,6 +91,12 @@ def dissection(node_shape: tuple[int, int, int]) -> Dissection:
     graph.eliminate_zeros()
     lateral = np.indices(node_shape)[1:].reshape(2, -1).T.astype(float)
     return Dissection(graph, lateral)
+
+
+def factors_of(matrix: sp.csr_matrix, node_shape: tuple[int, int, int]) -> Factors:
+    """Factors of a matrix of the displacement, (3, nz + 1, ny + 1, nx + 1), on a grid of nodes."""
+    unknowns = np.arange(matrix.shape[0]).reshape(3, -1).T
+    return Factors(matrix, dissection(node_shape), unknowns)
 
 
 def _pressure_blocks(system: NewtonSystem) -> tuple[sp.csr_matrix, sp.csr_matrix]:

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import stencil as st
-from .direct import dissection, sparse_matrix
-from .factors import Factors
+from .direct import factors_of, sparse_matrix
 
 Vector = NDArray[np.float32]
 
@@ -96,8 +95,7 @@ class Level:
         self.b[:] = 0
         for _ in range(steps):
             st.subtract_product(self.stencil, self.mode, self.b, self.r)
-            self.mode[:] = 0
-            self._step(self.r, 0.0, 1.0, self.mode)
+            self._go_on([0.0], [1.0], True, self.r, self.mode)
             size = float(np.linalg.norm(self.mode.ravel()))
             if size == 0:  # nothing is free: one element deep, between glued faces
                 self.mode, size = None, 1.0
@@ -117,18 +115,19 @@ class Level:
             keeps.append(new * rho)
             gains.append(2 * new / half)
             rho = new
-        keep, gain = np.array([keeps, gains], np.float32)
-        st.smooth(self.stencil, self.inverse, keep, gain, from_zero, self.b, self.r, self.d, self.x)
+        self._go_on(keeps, gains, from_zero, self.b, self.x)
 
     def residual(self) -> Vector:
         """Return b - S x, in r."""
         st.subtract_product(self.stencil, self.x, self.b, self.r)
         return self.r
 
-    def _step(self, residual: Vector, keep: float, gain: float, x: Vector) -> None:
-        """Go on from x in the direction that the residual gives."""
-        f32 = np.float32
-        st.smoothing_step(self.inverse, residual, f32(keep), f32(gain), self.d, x)
+    def _go_on(
+        self, keeps: list[float], gains: list[float], from_zero: bool, b: Vector, x: Vector
+    ) -> None:
+        """Go through smoothing steps on x for the right-hand side b."""
+        keep, gain = np.array([keeps, gains], np.float32)
+        st.smooth(self.stencil, self.inverse, keep, gain, from_zero, b, self.r, self.d, x)
 
 
 class Hierarchy:
@@ -174,8 +173,7 @@ class Hierarchy:
         coarsest = self.levels[-1]
         self._free = free
         matrix = sparse_matrix(st.expanded(coarsest.stencil, coarsest.node_shape[2]), free)
-        unknowns = np.arange(free.size).reshape(3, -1).T
-        self._factors = Factors(matrix, dissection(coarsest.node_shape), unknowns)
+        self._factors = factors_of(matrix, coarsest.node_shape)
 
     def cycle(self, b: Vector) -> Vector:
         """One V-cycle from zero for the right-hand side ``b`` (with halo); the result is reused."""

@@ -198,17 +198,12 @@ def _subtract_rows(stencil, x, b, r, begin, end):
 
 
 @nb.njit(cache=True)
-def smoothing_step(inverse, r, keep, gain, d, x):
-    """D = keep d + gain D^-1 r, x = x + d; D on the right the block diagonal."""
-    nz1, ny1 = inverse.shape[:2]
-    in_parallel(_smooth_rows, nz1 * ny1, (inverse, r, keep, gain, d, x))
-
-
-@nb.njit(cache=True)
 def smooth(stencil, inverse, keeps, gains, from_zero, b, r, d, x):
     """Go through smoothing steps on x for the right-hand side b, from x = 0 on if so wished.
 
-    One call does them all: on small grids a call takes longer than what it does.
+    Each is d = keep d + gain D^-1 (b - S x), x = x + d, with D^-1 the ``inverse`` of the block
+    diagonal; r is for b - S x. One call does them all: on small grids a call takes longer than what
+    it does.
     """
     nz1, ny1 = inverse.shape[:2]
     if from_zero:

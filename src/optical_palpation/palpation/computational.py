@@ -151,8 +151,8 @@ def computational_stress(
         Maps in the frame of the imaging system, and the deformed layer. Where the full load is
         reached on coarser elements only, that is the solution there: its ``status`` says so, the
         attributes ``asked_elements_failure`` and ``asked_element_size_mm`` why and what was asked;
-        ``asked_edges_failure`` and ``asked_edge_element_size_mm`` where the elements at free edges
-        alone are coarser, ``edge_element_size_mm``.
+        ``asked_edges_failure`` why where the elements at free edges alone are coarser;
+        ``edge_element_size_mm`` and ``asked_edge_element_size_mm`` how wide these are.
 
     Raises
     ------
