@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 
-from .stencil import padded
+from .stencil import padded, turned
 
 #: Seconds on one core (AMD EPYC 9004, 2.6 GHz) of a Newton step: whatever its size, and besides its
 #: linear system on each node; of an iteration of the linear solver on a node; and of an operation
@@ -51,6 +51,8 @@ def spend(node_shape: tuple[int, ...], iterations: int, operations: float) -> No
     """
     effort = _counted.get()
     if effort is not None:
-        nodes = math.prod(node_shape[:2]) * padded(node_shape[2])
+        ny1, nx1 = node_shape[1:]
+        across = nx1 * padded(ny1) if turned(node_shape) else ny1 * padded(nx1)
+        nodes = node_shape[0] * across
         on_node = _ON_NODE + _ITERATION * iterations
         effort.spent += _STEP + on_node * nodes + _OPERATION * operations

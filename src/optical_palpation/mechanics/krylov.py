@@ -16,7 +16,15 @@ from .contact import left_to_body, surface_stiffness
 from .grid import LayerGrid
 from .multigrid import Hierarchy
 from .schur import Lubrication, SchurComplement
-from .stencil import Stencil, halo_zeros, interior, store, subtract_product
+from .stencil import (
+    Stencil,
+    exchanged,
+    halo_zeros,
+    interior,
+    store,
+    subtract_product,
+    turned,
+)
 from .system import NewtonSystem, RightHandSide, with_prescribed
 
 Vector = NDArray[np.floating]
@@ -46,7 +54,11 @@ class MultigridSolver:
         self.gamma = _GAMMA * shear_modulus
         self.shear_modulus = shear_modulus
         depth = grid.depth * grid.typical_thickness
-        self.hierarchy = Hierarchy((depth, grid.y, grid.x))
+        self.node_shape = grid.node_shape
+        #: Whether the hierarchy has the axes y and x exchanged.
+        self.turned = turned(grid.node_shape)
+        lateral = (grid.x, grid.y) if self.turned else (grid.y, grid.x)
+        self.hierarchy = Hierarchy((depth, *lateral))
         self.schur = SchurComplement(grid.shape, grid.spacing, shear_modulus, self.gamma)
         self.lubrication = Lubrication(depth, grid.y, grid.x, free_sides, shear_modulus)
         self.areas = grid.areas
@@ -60,13 +72,23 @@ class MultigridSolver:
 
     def store(self, k: int, plane: Vector) -> None:
         """Take plane k of the displacement block."""
-        store(plane, self.stencil, k)
+        store(exchanged(plane, self.node_shape) if self.turned else plane, self.stencil, k)
+
+    def inside(self, vector: Vector) -> Vector:
+        """View of a vector of the hierarchy as a displacement (3, nz + 1, ny + 1, nx + 1)."""
+        own = interior(vector, self.hierarchy.levels[0].node_shape)
+        return own.swapaxes(2, 3) if self.turned else own
+
+    def vector(self) -> Vector:
+        """Return a zero vector of the hierarchy."""
+        return halo_zeros(self.hierarchy.levels[0].node_shape)
 
     def prepare(self, system: NewtonSystem) -> None:
         """Update the preconditioner to a system whose planes have all been stored."""
         f32 = np.float32
         self.system = system
-        self.hierarchy.update(system.free)
+        free = system.free.swapaxes(2, 3) if self.turned else system.free
+        self.hierarchy.update(np.ascontiguousarray(free))
         self.free = system.free.astype(f32)
         volume = self.volume = system.volume.astype(f32)
         self.weight = f32(self.shear_modulus + system.gamma) / np.cbrt(volume)
@@ -79,9 +101,8 @@ class MultigridSolver:
         self.share = left_to_body(self.own, along_x, along_y, contact.spring).astype(f32)
         # The uniform pressure is the mode that cosine modes miss most (a layer with nowhere to go
         # answers to it with its bulk modulus alone): it is solved for by itself.
-        shape = system.free.shape[1:]
-        x = halo_zeros(shape)
-        interior(x, shape)[:] = self.free * system.pressure_force(np.ones_like(volume))
+        x = self.vector()
+        self.inside(x)[:] = self.free * system.pressure_force(np.ones_like(volume))
         compressibility = float((volume / f32(system.bulk_modulus)).sum())
         uniform = self.hierarchy.compliance(x) + compressibility
         total = self.total = float(volume.sum())
@@ -101,9 +122,8 @@ class MultigridSolver:
         f32 = np.float32
         system, free, volume, weight = self.system, self.free, self.volume, self.weight
         penalty, share = f32(system.gamma) / volume, self.share
-        shape = free.shape[1:]
-        x, b, r = halo_zeros(shape), halo_zeros(shape), halo_zeros(shape)
-        inside, pushed, left = (interior(v, shape) for v in (x, b, r))
+        x, b, r = self.vector(), self.vector(), self.vector()
+        inside, pushed, left = (self.inside(v) for v in (x, b, r))
         size, total = free.size, self.total
 
         def split(v: Vector) -> tuple[Vector, Vector]:
@@ -134,7 +154,7 @@ class MultigridSolver:
             inside[:] = r_u
             inside[:, [0, -1]] /= share
             inside[:] = free * (inside - system.pressure_force(pressure))
-            out_u[:] = interior(self.hierarchy.cycle(x), shape)
+            out_u[:] = self.inside(self.hierarchy.cycle(x))
             return out
 
         b0 = np.concatenate([rhs.displacement.ravel(), (weight * rhs.volume).ravel()])
