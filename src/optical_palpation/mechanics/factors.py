@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 from optical_palpation.parallel import blas_threads, in_parallel
 from optical_palpation.runtime.kernels import keep_kernels
 
+from .intrinsics import subtract_matrix_product
+
 keep_kernels()
 
 Array = NDArray[np.float64]
@@ -352,16 +354,16 @@ def _eliminate_front(front, rows, columns, numbers, fronts, values, from_, to, p
     at = fronts.factors[front]
     for k in range(0, p, _PANEL):
         after = min(k + _PANEL, p)
-        lower, upper = _triangles(f[k:after, k:after].copy())
-        right = np.dot(lower, f[k:after, after:].copy())
-        below = np.dot(f[after:, k:after].copy(), upper)
-        rest = f[after:, after:]
-        rest -= np.dot(below, right)
-        for part in (lower, upper, right, below):
-            values[at : at + part.size] = part.ravel()
-            at += part.size
+        lower, upper, right, below, at = _panel(values, at, after - k, size - after)
+        lower[:], upper[:] = _triangles(f[k:after, k:after].copy())
+        if after < size:
+            np.dot(lower, f[k:after, after:].copy(), right)
+            np.dot(f[after:, k:after].copy(), upper, below)
+            subtract_matrix_product(f[after:, after:], below, right)
     first = fronts.updates[front]
-    to[first : first + (size - p) ** 2] = f[p:, p:].copy().ravel()
+    for row in f[p:, p:]:
+        to[first : first + size - p] = row
+        first += size - p
 
 
 @nb.njit(fastmath=True, error_model="numpy")

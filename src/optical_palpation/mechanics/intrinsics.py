@@ -1,4 +1,4 @@
-"""Instructions of the processor that numba has no function for.
+"""Instructions of the processor, and a product of BLAS, that numba has no function for.
 
 They are made by way of numba's lowering, most of which is not documented; without it
 (:func:`~optical_palpation.runtime.environment.public_numba`) loops stand in for them.
@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import Any
 
 import numba as nb
+import numpy as np
 from llvmlite import ir
 from numba import extending
-from numba.core import types
+from numba.core import cgutils, types
 
 from optical_palpation.runtime.environment import public_numba
 
@@ -67,6 +68,41 @@ def add_lanes(typing_context, target, first, source, start):
     return types.void(target, first, source, start), generate
 
 
+@intrinsic
+def subtract_matrix_product(typing_context, c, a, b):
+    """Subtract a @ b from c, double matrices whose rows are contiguous; a and b are whole ones.
+
+    ``np.dot`` would leave the product in an array of its own, which passes through the memory.
+    """
+
+    def generate(context, builder, signature, arguments):
+        c, a, b = (
+            context.make_array(kind)(context, builder, value)
+            for kind, value in zip(signature.args, arguments, strict=True)
+        )
+        (m, n), (_, k) = (cgutils.unpack_tuple(builder, array.shape, 2) for array in (c, a))
+        rows = cgutils.unpack_tuple(builder, c.strides, 2)[0]
+        char, whole, real = ir.IntType(8), m.type, ir.DoubleType()
+        pitch = builder.sdiv(rows, whole(8))
+        address = char.as_pointer()
+        alpha, beta = (
+            cgutils.alloca_once_value(builder, real(value)) for value in (-1.0, 1.0)
+        )
+        alpha, beta, to, left, right = (
+            builder.bitcast(at, address) for at in (alpha, beta, c.data, a.data, b.data)
+        )
+        kinds = [char] * 3 + [whole] * 3 + [address, address, whole, address, whole]
+        kind = ir.FunctionType(ir.IntType(32), [*kinds, address, address, whole])
+        gemm = cgutils.get_or_insert_function(builder.module, kind, "numba_xxgemm")
+        double, plain = char(ord("d")), char(ord("n"))
+        # BLAS has columns where these have rows: it takes the transposed product
+        sizes = [double, plain, plain, n, m, k]
+        builder.call(gemm, [*sizes, alpha, right, n, left, k, beta, to, pitch])
+        return context.get_dummy_value()
+
+    return types.void(c, a, b), generate
+
+
 if public_numba():
 
     @nb.njit
@@ -78,3 +114,8 @@ if public_numba():
         """Add source[start : start + L] to target[first : first + L]."""
         for lane in range(L):
             target[first + lane] += source[start + lane]
+
+    @nb.njit
+    def subtract_matrix_product(c, a, b):
+        """Subtract a @ b from c."""
+        c -= np.dot(a, b)
