@@ -8,7 +8,6 @@ ones, the sum was 0.8 to 1.3 times the processor time.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar

@@ -85,9 +85,7 @@ def subtract_matrix_product(typing_context, c, a, b):
         char, whole, real = ir.IntType(8), m.type, ir.DoubleType()
         pitch = builder.sdiv(rows, whole(8))
         address = char.as_pointer()
-        alpha, beta = (
-            cgutils.alloca_once_value(builder, real(value)) for value in (-1.0, 1.0)
-        )
+        alpha, beta = (cgutils.alloca_once_value(builder, real(value)) for value in (-1.0, 1.0))
         alpha, beta, to, left, right = (
             builder.bitcast(at, address) for at in (alpha, beta, c.data, a.data, b.data)
         )
