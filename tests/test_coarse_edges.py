@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 
 from optical_palpation.analysis import stress_uncertainty
 from optical_palpation.errors import ConvergenceError
-from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics import path
 from optical_palpation.mechanics.cascade import (
     OnlyOnCoarser,
@@ -27,32 +26,10 @@ from optical_palpation.mechanics.iteration import TOLERANCES, NotConverged
 from optical_palpation.mechanics.newton import balance
 from optical_palpation.mechanics.problem import LayerState
 from optical_palpation.palpation import InputErrors, computational_stress, mesh_error
-from optical_palpation.palpation.meshing import expected_forces, layer_nodes, layer_problem
+from optical_palpation.palpation.meshing import layer_nodes
 from optical_palpation.present import summarise
 from optical_palpation.study import warnings_about
-from optical_palpation.thickness import thickness_map
-
-SILICONE = MooneyRivlin(2.23, 0.703)
-AXIS = np.linspace(0, 2, 41)
-SIZE, DEPTH = 0.25, 0.1
-HELD = {"window": 0.3, "sample": 0.3}
-GIVEN = {
-    "window_friction": HELD["window"],
-    "sample_friction": HELD["sample"],
-    "element_size": (SIZE, SIZE, DEPTH),
-}
-
-
-def tilted():
-    heights = np.tile(0.5 - 0.15 * AXIS / 2, (41, 1))
-    return thickness_map(heights, x=AXIS, y=AXIS, where="tilted plate")
-
-
-def problem(edges="free", size=SIZE, depth=DEPTH):
-    loaded = tilted()
-    unloaded = loaded.copy(data=np.full(loaded.shape, 0.5))
-    sizes = size, size, depth
-    return layer_problem(loaded, unloaded, None, SILICONE, HELD, sizes, edges, size / 2, 0.001)
+from tilted_case import GIVEN, SILICONE, SIZE, bound, problem, tilted
 
 
 def stress(**options):
@@ -65,7 +42,7 @@ def stress(**options):
 
 
 def solved(layer):
-    return solve(layer, lambda level: expected_forces(level, SILICONE))
+    return solve(layer, bound)
 
 
 def force(solution):

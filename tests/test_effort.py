@@ -1,37 +1,19 @@
 """A layer that takes too long is given up, after the same steps on every machine."""
 
-import numpy as np
 import pytest
 
 from optical_palpation.errors import ConvergenceError
-from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics import cascade
 from optical_palpation.mechanics.effort import counted, spend
 from optical_palpation.mechanics.path import TOO_LONG, LoadNotReached
 from optical_palpation.palpation import computational_stress
-from optical_palpation.palpation.meshing import expected_forces, layer_problem
-from optical_palpation.thickness import thickness_map
+from tilted_case import GIVEN, SILICONE, bound, problem, tilted
 
-SILICONE = MooneyRivlin(2.23, 0.703)
-AXIS = np.linspace(0, 2, 41)
 SHAPE = 5, 10, 20
-HELD = {"window": 0.3, "sample": 0.3}
-
-
-def plate():
-    heights = np.tile(0.5 - 0.15 * AXIS / 2, (41, 1))
-    return thickness_map(heights, x=AXIS, y=AXIS, where="tilted plate")
-
-
-def problem(size=0.25):
-    loaded = plate()
-    unloaded = loaded.copy(data=np.full(loaded.shape, 0.5))
-    sizes = size, size, 0.1
-    return layer_problem(loaded, unloaded, None, SILICONE, HELD, sizes, "free", 0.1, 0.001)
 
 
 def solved(layer, **options):
-    return cascade.solve(layer, lambda level: expected_forces(level, SILICONE), **options)
+    return cascade.solve(layer, bound, **options)
 
 
 def spent(layer, **options):
@@ -66,8 +48,8 @@ def test_steps_are_counted_within_and_nowhere_else():
 def test_effort_grows_with_the_elements_and_not_with_the_machine():
     small = spent(problem())
     assert small == spent(problem())
-    assert spent(problem(0.125), solver="direct") > spent(problem(), solver="direct") > 0
-    assert spent(problem(0.125)) > small
+    assert spent(problem(size=0.125), solver="direct") > spent(problem(), solver="direct") > 0
+    assert spent(problem(size=0.125)) > small
 
 
 def test_a_layer_that_takes_too_long_is_given_up(monkeypatch):
@@ -78,12 +60,10 @@ def test_a_layer_that_takes_too_long_is_given_up(monkeypatch):
     assert 0 < stopped.value.load < 1
     with pytest.raises(ConvergenceError, match=r"loaded to .* % only: it took too long"):
         computational_stress(
-            plate(),
+            tilted(),
             0.5,
             SILICONE,
-            window_friction=0.3,
-            sample_friction=0.3,
-            element_size=(0.25, 0.25, 0.1),
+            **GIVEN,
         )
     # the reference takes its time, and as large a layer as this one has more of it
     assert solved(problem(), solver="direct").state.load == 1.0
@@ -114,8 +94,18 @@ def test_edges_become_narrower_while_there_is_time(monkeypatch):
     assert stopped.value.solution.problem.grid.edge_widths[0] > 0.2
 
 
+def test_a_failure_says_how_far_the_layer_came_with_any_edges(monkeypatch):
+    def stop(nested, level, carried):
+        narrow = cascade._narrow_edges(level)
+        raise LoadNotReached(*((0.4, "the rim snaps") if narrow else (1.0, "it rolls")))
+
+    monkeypatch.setattr(cascade._Nested, "_loaded", stop)
+    with pytest.raises(LoadNotReached, match="full load, but to no equilibrium there: it rolls"):
+        solved(problem())
+
+
 def test_what_there_is_on_coarser_elements_with_coarse_edges_is_better_than_nothing(monkeypatch):
-    fine = problem(0.06)
+    fine = problem(size=0.06)
     loaded = cascade._Nested._loaded
 
     def stop(nested, level, carried):

@@ -65,7 +65,7 @@ _ITERATIONS = 1000
 #: Effort, s, after which the load of a layer of so many elements is followed no further, in
 #: proportion on more; the share of it after which coarse free edges are tried; and how much more
 #: than that a loaded layer may take to come to rest.
-_PATIENCE, _PATIENT, _NARROW, _AT_LAST = 55.0, 8000, 0.3, 1.15
+_PATIENCE, _PATIENT, _NARROW, _AT_LAST = 50.0, 8000, 0.3, 1.15
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.
@@ -328,9 +328,9 @@ class _Nested:
     """The nested iteration of one problem; for its arguments see ``solve``.
 
     ``effort`` is what was spent; ``narrows`` says whether this makes the free edges of another
-    solution narrower. ``path`` is the last load path that was followed, from the first
-    of its states on, and the problem on its grid; ``otherwise`` what there is with coarse edges, if
-    only on coarser elements.
+    solution narrower. ``path`` is the last load path that was followed, from the first of its
+    states on, and the problem on its grid. Of coarse edges, ``failure`` is why the layer does not
+    arrive with them, and ``otherwise`` what there is instead on coarser elements.
     """
 
     problem: LayerProblem
@@ -346,6 +346,7 @@ class _Nested:
     narrows: bool = False
     record: list[tuple[int, float, int]] = field(default_factory=list, init=False)
     path: tuple[LayerProblem, list[LayerState]] | None = field(default=None, init=False)
+    failure: LoadNotReached | None = field(default=None, init=False)
     otherwise: Solution | None = field(default=None, init=False)
     own: Similar = field(default_factory=Similar, init=False)
 
@@ -406,10 +407,10 @@ class _Nested:
         nested = replace(self, problem=coarse, neighbours=None, similar=None, guided=False)
         try:
             solution = nested.solved(grids(coarse))
-        except OnlyOnCoarser as failure:
-            self.otherwise = failure.solution
-            return None
-        except LoadNotReached:
+        except LoadNotReached as failure:
+            self.failure = failure
+            if isinstance(failure, OnlyOnCoarser):
+                self.otherwise = failure.solution
             return None
         widths = _edge_widths(self.problem)
         for width in widths:
@@ -447,9 +448,10 @@ class _Nested:
         levels: list[LayerProblem],
         found: list[tuple[int, LayerState]],
     ) -> LoadNotReached:
-        """The failure, with what there is instead."""
+        """The failure that came farthest, with what there is instead."""
         instead = self._instead(levels, found) or self.otherwise
-        return failure if instead is None else OnlyOnCoarser(failure, instead)
+        farthest = max(failure, self.failure or failure, key=lambda one: one.load)
+        return farthest if instead is None else OnlyOnCoarser(farthest, instead)
 
     def _instead(
         self, levels: list[LayerProblem], found: list[tuple[int, LayerState]]
