@@ -59,12 +59,7 @@ def test_a_layer_that_takes_too_long_is_given_up(monkeypatch):
         solved(problem())
     assert 0 < stopped.value.load < 1
     with pytest.raises(ConvergenceError, match=r"loaded to .* % only: it took too long"):
-        computational_stress(
-            tilted(),
-            0.5,
-            SILICONE,
-            **GIVEN,
-        )
+        computational_stress(tilted(), 0.5, SILICONE, **GIVEN)
     # the reference takes its time, and as large a layer as this one has more of it
     assert solved(problem(), solver="direct").state.load == 1.0
     monkeypatch.setattr(cascade, "_PATIENT", problem().grid.n_elements / 10)

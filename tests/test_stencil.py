@@ -76,6 +76,36 @@ def test_product_is_that_of_the_matrix(shape, threads):
     assert (y != 0).sum() == (stencils.interior(y, shape) != 0).sum()  # the halo stays empty
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_product_is_the_same_with_the_axes_exchanged(shape):
+    full = random_planes(shape)
+    nz1, ny1, nx1 = shape
+    other = nz1, nx1, ny1
+    turned = stencils.empty_stencil(other)
+    plane = np.zeros((ny1, 27, 9, stencils.padded(nx1)), np.float32)
+    for k in range(nz1):
+        plane[..., :nx1] = full[k]
+        stencils.store(stencils.exchanged(plane, nx1), turned, k)
+    vector = np.random.default_rng(1).standard_normal((3, *shape)).astype(np.float32)
+    products = []
+    for stencil, own, values in (
+        (stored(full), shape, vector),
+        (turned, other, vector.swapaxes(2, 3)),
+    ):
+        x, y = stencils.halo_zeros(own), stencils.halo_zeros(own)
+        stencils.interior(x, own)[:] = values
+        stencils.subtract_product(stencil, x, stencils.halo_zeros(own), y)
+        products.append(stencils.interior(y, own))
+    straight, exchanged = products[0], products[1].swapaxes(2, 3)
+    assert_allclose(exchanged, straight, atol=1e-6 * abs(straight).max())
+
+
+def test_axes_are_exchanged_where_that_fills_fewer_lanes():
+    assert stencils.turned((5, 49, 20))  # 20 x 64 instead of 49 x 32
+    assert not stencils.turned((5, 20, 49))
+    assert not stencils.turned((5, 17, 17))
+
+
 @settings(max_examples=20, deadline=None)
 @given(
     counts=st.tuples(st.integers(1, 4), st.integers(2, 9), st.integers(2, 20)),

@@ -329,8 +329,8 @@ class _Nested:
 
     ``effort`` is what was spent; ``narrows`` says whether this makes the free edges of another
     solution narrower. ``path`` is the last load path that was followed, from the first of its
-    states on, and the problem on its grid. Of coarse edges, ``failure`` is why the layer does not
-    arrive with them, and ``otherwise`` what there is instead on coarser elements.
+    states on, and the problem on its grid; ``failure`` is why the layer does not arrive with coarse
+    edges.
     """
 
     problem: LayerProblem
@@ -347,7 +347,6 @@ class _Nested:
     record: list[tuple[int, float, int]] = field(default_factory=list, init=False)
     path: tuple[LayerProblem, list[LayerState]] | None = field(default=None, init=False)
     failure: LoadNotReached | None = field(default=None, init=False)
-    otherwise: Solution | None = field(default=None, init=False)
     own: Similar = field(default_factory=Similar, init=False)
 
     def __post_init__(self) -> None:
@@ -409,8 +408,6 @@ class _Nested:
             solution = nested.solved(grids(coarse))
         except LoadNotReached as failure:
             self.failure = failure
-            if isinstance(failure, OnlyOnCoarser):
-                self.otherwise = failure.solution
             return None
         widths = _edge_widths(self.problem)
         for width in widths:
@@ -449,7 +446,9 @@ class _Nested:
         found: list[tuple[int, LayerState]],
     ) -> LoadNotReached:
         """The failure that came farthest, with what there is instead."""
-        instead = self._instead(levels, found) or self.otherwise
+        instead = self._instead(levels, found)
+        if instead is None and isinstance(self.failure, OnlyOnCoarser):
+            instead = self.failure.solution
         farthest = max(failure, self.failure or failure, key=lambda one: one.load)
         return farthest if instead is None else OnlyOnCoarser(farthest, instead)
 

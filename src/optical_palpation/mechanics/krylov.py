@@ -54,7 +54,6 @@ class MultigridSolver:
         self.gamma = _GAMMA * shear_modulus
         self.shear_modulus = shear_modulus
         depth = grid.depth * grid.typical_thickness
-        self.node_shape = grid.node_shape
         #: Whether the hierarchy has the axes y and x exchanged.
         self.turned = turned(grid.node_shape)
         lateral = (grid.x, grid.y) if self.turned else (grid.y, grid.x)
@@ -72,7 +71,9 @@ class MultigridSolver:
 
     def store(self, k: int, plane: Vector) -> None:
         """Take plane k of the displacement block."""
-        store(exchanged(plane, self.node_shape) if self.turned else plane, self.stencil, k)
+        if self.turned:
+            plane = exchanged(plane, len(self.stencil.entries[k]))
+        store(plane, self.stencil, k)
 
     def inside(self, vector: Vector) -> Vector:
         """View of a vector of the hierarchy as a displacement (3, nz + 1, ny + 1, nx + 1)."""
@@ -88,7 +89,7 @@ class MultigridSolver:
         f32 = np.float32
         self.system = system
         free = system.free.swapaxes(2, 3) if self.turned else system.free
-        self.hierarchy.update(np.ascontiguousarray(free))
+        self.hierarchy.update(np.ascontiguousarray(free))  # for which the kernels are compiled
         self.free = system.free.astype(f32)
         volume = self.volume = system.volume.astype(f32)
         self.weight = f32(self.shear_modulus + system.gamma) / np.cbrt(volume)

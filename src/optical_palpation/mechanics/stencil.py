@@ -73,9 +73,9 @@ def turned(node_shape: tuple[int, ...]) -> bool:
     return 10 * padded(ny1) * nx1 < 9 * padded(nx1) * ny1
 
 
-def exchanged(plane: NDArray, node_shape: tuple[int, ...]) -> NDArray:
+def exchanged(plane: NDArray, nx1: int) -> NDArray:
     """Plane of a tangent, [y, neighbour, 3 * row + column, x], with the axes y and x exchanged."""
-    ny1, nx1 = node_shape[-2:]
+    ny1 = len(plane)
     by_neighbour = plane[..., :nx1].reshape(ny1, 3, 3, 3, 9, nx1)
     out = np.zeros((nx1, 3, 3, 3, 9, padded(ny1)), plane.dtype)
     out[..., :ny1] = by_neighbour.transpose(5, 1, 3, 2, 4, 0)
