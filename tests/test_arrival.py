@@ -183,7 +183,7 @@ def test_before_anything_is_loaded_nothing_snaps():
 
 
 class Flickers:
-    """Its last iterates flicker about an equilibrium, with a share ``left`` out of balance."""
+    """Its last iterates flicker about an equilibrium, at a distance ``left``."""
 
     stiffness = 1.0
 
@@ -194,7 +194,7 @@ class Flickers:
         self.drags += drag is not None
         if drag is not None or trial.load == 1.0:
             failure = NotConverged("stagnates")
-            failure.nearest = SimpleNamespace(state=trial, force_error=self.left), 9
+            failure.nearest = SimpleNamespace(state=trial, distance=self.left), 9
             raise failure
         return SimpleNamespace(state=trial), 3
 

@@ -73,6 +73,21 @@ def test_resultant_error_is_what_a_force_changes_the_whole_by(solved):
     assert pushed(1.1 * average).resultant_error == np.inf
 
 
+def test_distance_counts_what_snaps_on_fine_grids_by_what_it_changes_the_whole_by(
+    solved, monkeypatch
+):
+    state = solved.state.copy()
+    average = state.normal_force[1].mean()
+    for share in (0.5, 1.1):  # that much on a node: it may be left there, and not
+        state.normal_force[0, 4, 7] += share * average
+        now = balance(solved.problem, state)
+        assert now.distance == now.force_error
+        with monkeypatch.context() as patch:
+            patch.setattr(newton, "FINE", solved.problem.grid.n_elements - 1)
+            fine = balance(solved.problem, state).distance
+        assert fine == (now.resultant_error if share < 1 else now.force_error)
+
+
 @pytest.mark.parametrize("box", BOXES)
 @pytest.mark.parametrize(
     "options", [{}, {"edges": "roller"}, {"mirrors": (True, False, True, False)}]

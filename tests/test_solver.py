@@ -166,7 +166,18 @@ class Point:
     def imbalance(self):
         return self.force_error
 
-    merit = imbalance
+    merit = distance = imbalance
+
+
+@dataclass
+class Snaps(Point):
+    """An iterate of which a node that snaps has nearly all that is out of balance."""
+
+    distance: float = 0.0
+
+    @property
+    def merit(self):
+        return self.distance
 
 
 def test_an_error_that_does_not_fall_is_not_waited_for():
@@ -191,3 +202,18 @@ def test_an_iterate_that_will_do_is_soon_content():
         iterate(Point(9e-5), linearise, wanted, 1.0, lambda n, *_: seen.append(n))
     assert seen[-1] == wanted.patience // 3
     assert failure.value.nearest[0].force_error < 9e-5
+
+
+def test_what_snaps_for_ever_does_not_hide_that_all_else_comes_nearer():
+    """It is not given up, and what came nearest is not where the node snaps least."""
+    distances = iter([1e-2, 3e-3, 1e-3, 3e-4, 9e-5, 8e-5, 8.5e-5, 9e-5, 9e-5])
+
+    def linearise(now, damping):
+        after = Snaps(0.95 * now.force_error, distance=next(distances))
+        return Direction(lambda fraction: after, 3)
+
+    wanted = Tolerances(force=1e-6, nearly=1e-4, patience=4)
+    with pytest.raises(NotConverged, match="stagnates") as failure:
+        iterate(Snaps(2e-2, distance=3e-2), linearise, wanted, 1.0)
+    nearest, number = failure.value.nearest
+    assert (nearest.distance, number) == (8e-5, 6)

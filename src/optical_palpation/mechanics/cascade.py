@@ -25,7 +25,17 @@ from .iteration import TOLERANCES, NotConverged, Tolerances, impatient, relaxed
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .neighbours import Neighbours
-from .newton import CARRIED, SLOW, Balance, LinearSolver, LoadedLayer, Solvers, balance, equilibrate
+from .newton import (
+    CARRIED,
+    FINE,
+    SLOW,
+    Balance,
+    LinearSolver,
+    LoadedLayer,
+    Solvers,
+    balance,
+    equilibrate,
+)
 from .path import FOLLOWED, NEARLY, SLIDES, SNAPS, Guide, LoadNotReached, Path, StepControl
 from .problem import LayerProblem, LayerState
 from .similar import Similar
@@ -73,8 +83,6 @@ _KEPT = 0.5
 #: By how much the outermost elements become narrower at a time; how wide they may be at first, in
 #: those inside, to be worth another solution; and from which share on they are no narrower.
 _QUARTER, _NARROWER, _PLAIN = 4, 0.5, 0.9
-#: What two iterations leave of an error, at least, that they hardly make smaller.
-_HARDLY = 1 / 3
 #: What is as good as at rest on a coarser grid, if it came there against drag: what is left is less
 #: than what the next grid adds.
 _RESTING = 1000.0
@@ -477,9 +485,11 @@ class _Nested:
         moved = self.similar.moved(level, carried) if self.similar else None
         if moved and balance(level, moved).force_error < error:
             begin = moved
-        fine = level.grid.n_elements > _QUICK
-        nearly = NEARLY[0] if fine else 0.0  # drag would take long, and bring it no nearer
-        nearest, reached = self._balanced(level, begin, self._wanted(level), nearly)
+        fine = level.grid.n_elements > FINE
+        wanted = self._wanted(level)
+        if fine:  # drag would take long, and bring it no nearer
+            wanted = replace(wanted, nearly=NEARLY[0])
+        nearest, reached = self._balanced(level, begin, wanted)
         if reached:
             if self.similar is not None:
                 self.own.settled(level, carried, nearest)
@@ -569,35 +579,25 @@ class _Nested:
         return path.state
 
     def _balanced(
-        self, level: LayerProblem, state: LayerState, wanted: Tolerances, nearly: float = 0.0
+        self, level: LayerProblem, state: LayerState, wanted: Tolerances
     ) -> tuple[LayerState, bool]:
-        """Bring a state at its load into equilibrium, or to a share ``nearly`` out of balance.
+        """Bring a state at its load into equilibrium, or so near that it will do.
 
         Returns
         -------
         tuple
             The state nearest to equilibrium, and whether it is one.
         """
-        errors: list[float] = []
-
-        def report(iteration: int, now: Balance, krylov: int) -> None:
-            if self.on_iteration:
-                self.on_iteration(level, state.load, iteration, now, krylov)
-            if not nearly:
-                return
-            errors.append(now.resultant_error)
-            if min(errors) < nearly and errors[-1] > _HARDLY * min(errors[:-2], default=np.inf):
-                raise NotConverged("nearly in equilibrium, and hardly nearer after two iterations")
-
+        report = partial(self.on_iteration, level, state.load) if self.on_iteration else None
         linear = make_solver(level, self.solver)
-        due = CARRIED if level.grid.n_elements > _QUICK else None
+        due = CARRIED if level.grid.n_elements > FINE else None
         try:
             now, count = equilibrate(level, state, linear, impatient(wanted), report, eliminate=due)
         except NotConverged as failure:
             if failure.nearest is None:
                 raise
             now, count = failure.nearest
-            if now.resultant_error >= nearly:
+            if now.distance >= wanted.nearly:
                 return now.state, False
         self.record.append((level.grid.n_elements, state.load, count))
         return now.state, True

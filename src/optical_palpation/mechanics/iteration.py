@@ -36,13 +36,13 @@ class Tolerances:
         Relative residual to which linear systems are solved (inexact Newton), in norms in which
         what contact springs take up counts by what it moves the body.
     patience
-        Newton iterations in which the error must fall to three tenths.
+        Newton iterations in which the distance must fall to three tenths.
     krylov
         Iterations of a linear solver from which on the tangent counts as nearly singular, and
         Newton's method is given up.
     nearly
-        Force error of a state that will do where Newton's method does not get there: so near,
-        patience is a third of what it is elsewhere.
+        Distance of a state that will do where Newton's method does not get there: so near,
+        patience is a third of what it is elsewhere, two iterations at least.
     """
 
     force: float = 1e-6
@@ -76,8 +76,9 @@ class Iterate(Protocol):
     """A state and how far it is from equilibrium.
 
     ``imbalance`` is the 2-norm of all forces out of balance, mN, ``force_error`` its share of the
-    contact forces, ``merit`` that norm without what goes where each node comes to rest alone, mN: a
-    node that slips the wrong way by next to nothing has all of its friction out of balance.
+    contact forces, ``distance`` that share or, of many nodes, what they change the resultant by
+    where that is less, ``merit`` that norm without what goes where each node comes to rest alone,
+    mN: a node that slips the wrong way by next to nothing has all of its friction out of balance.
     ``volume_error`` the violation of J - 1 = p / K (root mean square),
     ``min_jacobian`` the smallest J.
     """
@@ -88,6 +89,8 @@ class Iterate(Protocol):
     def merit(self) -> float: ...  # noqa: D102
     @property
     def force_error(self) -> float: ...  # noqa: D102
+    @property
+    def distance(self) -> float: ...  # noqa: D102
     @property
     def volume_error(self) -> float: ...  # noqa: D102
     @property
@@ -153,8 +156,8 @@ def iterate(
     NotConverged
         When the iterations run out, or no step leads nearer to equilibrium.
     """
-    errors: list[float] = []  # after the step, and after what is solved alone
-    left: list[float] = []
+    errors: list[float] = []  # after the step
+    left: list[float] = []  # distances, after what is solved alone
     merits: list[float] = []
     nearest, number = now, 0
     damping, krylov = 0.0, 0
@@ -166,12 +169,12 @@ def iterate(
                 now = eliminate(now, errors) or now
             if on_iteration:
                 on_iteration(iteration, now, krylov)
-            if now.force_error < nearest.force_error:
+            if now.distance < nearest.distance:
                 nearest, number = now, iteration
             patience = tolerances.patience
-            if nearest.force_error < tolerances.nearly:
-                patience //= 3
-            left.append(now.force_error)
+            if nearest.distance < tolerances.nearly:
+                patience = max(patience // 3, 2)
+            left.append(now.distance)
             if iteration >= patience and min(left[-patience:]) > 0.3 * left[-1 - patience]:
                 raise NotConverged("Newton's method stagnates")
             if iteration >= tolerances.least and met(now, tolerances):

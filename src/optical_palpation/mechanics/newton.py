@@ -73,6 +73,9 @@ class LinearSolver(Protocol):
 
 #: Pressure, in shear moduli, above which contact forces no longer tell how large errors may be.
 _PRESSURE = 4.0
+#: Elements of a grid so fine that some node of a rim snaps for ever: what is out of balance then
+#: counts by how much it changes the force that the layer carries.
+FINE = 30_000
 #: Steps by the tangent of another state; and the share of the imbalance that each of them, or
 #: columns that are solved alone in vain, may leave.
 _CHORDS, _NEARER = 6, 0.5
@@ -159,6 +162,13 @@ class Balance:
     def columns(self) -> Array:
         """Square of what is out of balance in each column, (ny + 1, nx + 1), mN^2."""
         return (self.residual**2).sum((0, 1)) + (self.contact.violation**2).sum(0)
+
+    @cached_property
+    def distance(self) -> float:
+        """That of ``Iterate``: ``force_error``, on fine grids no more than ``resultant_error``."""
+        if self.state.p.size <= FINE:
+            return self.force_error
+        return min(self.force_error, self.resultant_error)
 
     @property
     def resultant_error(self) -> float:

@@ -51,10 +51,12 @@ SLIDES = "nothing holds the layer sideways: it slides from under what presses it
 _RESTLESS = "the layer does not come to rest"
 #: Why a path is given up that might lead there.
 TOO_LONG = "it took too long"
-#: Share of the contact forces out of balance with which a state counts as nearly one of equilibrium
-#: where contact at a few nodes changes for ever, once Newton's method fails there: if there is
-#: another way, if there is none, and at last.
+#: Distance at which a state counts as nearly one of equilibrium where contact at a few nodes
+#: changes for ever, once Newton's method fails there; share of the contact forces out of balance if
+#: there is no other way, and at last.
 NEARLY = (1e-4, 1e-3, 0.02)
+#: Share of what may be out of balance on the way that may be left where Newton's method fails.
+_NEARLY = 0.1
 #: How much of the last change the bound of friction follows: at first, the least and the most.
 _RELAXATION = (0.5, 0.1, 2.0)
 #: Smallest singular value of two ways, by the largest: what is less apart counts as one way.
@@ -350,7 +352,8 @@ class Path(Generic[AnyState]):
             wanted = self.tolerances if exact else self.intermediate
             # on the way, what is near enough already is left as the similar path suggests it
             least = 0 if tried and not exact else wanted.least
-            wanted = replace(wanted, krylov=_KRYLOV, nearly=NEARLY[0], least=least)
+            nearly = NEARLY[0] if exact else _NEARLY * wanted.force
+            wanted = replace(wanted, krylov=_KRYLOV, nearly=nearly, least=least)
             try:
                 now, count = self._reach(trial, wanted)
             except NotConverged as failure:
@@ -429,7 +432,8 @@ class Path(Generic[AnyState]):
             load = min(end, self.state.load + step)
             drag = Drag(viscosity * loaded.stiffness, self.state, bound)
             try:
-                now, count = self._reach(self.state.at_load(load), wanted, drag)
+                trial = self.state.at_load(load)
+                now, count = self._reach(trial, replace(wanted, nearly=NEARLY[0]), drag)
             except NotConverged as failure:
                 viscosity *= 4.0
                 step *= 0.5
@@ -463,7 +467,7 @@ class Path(Generic[AnyState]):
                 return
             wanted = self._tenth(rest.force_error)
             held += 1
-            at_rest = share < _STILL or rest.force_error < NEARLY[0]
+            at_rest = share < _STILL or rest.distance < NEARLY[0]
             left = rest.force_error if at_rest else np.inf
             if held > _HELD:
                 if left < NEARLY[2]:
@@ -472,7 +476,8 @@ class Path(Generic[AnyState]):
             if share < _REST[0] and rest.force_error < min(near, _NEAR):
                 near = 0.1 * rest.force_error
                 try:
-                    now, count = self._reach(self.state, impatient(self.tolerances))
+                    impatiently = replace(impatient(self.tolerances), nearly=NEARLY[0])
+                    now, count = self._reach(self.state, impatiently)
                 except NotConverged:
                     if left < NEARLY[1]:
                         return
@@ -518,7 +523,7 @@ class Path(Generic[AnyState]):
         try:
             return self.loaded.equilibrate(trial, wanted, count, drag)
         except NotConverged as failure:
-            if failure.nearest and failure.nearest[0].force_error < wanted.nearly:
+            if failure.nearest and failure.nearest[0].distance < wanted.nearly:
                 return failure.nearest
             raise
 

@@ -52,6 +52,11 @@ class Balance:
     volume_error: float
     min_jacobian: float
 
+    @property
+    def distance(self) -> float:
+        """That of ``Iterate``: ``force_error``."""
+        return self.force_error
+
     def side_tangents(self) -> list[SideTangent]:
         """What presses the sides of both bodies, linearised."""
         each = zip(self.sides, self.side_frictions, strict=True)
