@@ -164,7 +164,7 @@ def test_what_is_too_far_at_full_load_is_carried_over_before_that(monkeypatch):
         return solution.state.normal_force[1].sum(), loads
 
     followed, _ = solved(cascade=False)
-    monkeypatch.setattr(cascade, "_QUICK", 3000)
+    monkeypatch.setattr(cascade, "FINE", 3000)
     force, loads = solved()
     assert 0.3 < loads[0] < 0.9
     assert force == pytest.approx(followed, rel=7e-3)

@@ -65,10 +65,6 @@ _FAR = 0.1
 #: The same at a smaller load, from which it is then followed on that grid: what slides on mends its
 #: friction, but much that has turned round costs iterations.
 _FAR_BEFORE = 0.07
-#: Elements up to which the load of a layer that cannot be carried over is followed on that grid
-#: from the beginning. It takes seconds; on finer grids it is followed from the last load at which
-#: the layer can be, and one that can be but finds no equilibrium is sooner at rest against drag.
-_QUICK = 30_000
 #: Newton iterations in which the load must be followed on the finest grid, where that takes
 #: seconds. Hard layers come nearer all the time and want many; on coarse grids more gain little.
 _ITERATIONS = 1000
@@ -487,7 +483,7 @@ class _Nested:
             begin = moved
         fine = level.grid.n_elements > FINE
         wanted = self._wanted(level)
-        if fine:  # drag would take long, and bring it no nearer
+        if fine:  # drag takes long, and brings it no nearer, but is sooner there than a load path
             wanted = replace(wanted, nearly=NEARLY[0])
         nearest, reached = self._balanced(level, begin, wanted)
         if reached:
@@ -497,7 +493,9 @@ class _Nested:
         return self._settled(level, nearest) if fine else None
 
     def _loaded(self, level: LayerProblem, carried: LayerState | None) -> LayerState:
-        """Follow the load on a grid: from where it can be carried over, or from the beginning.
+        """Follow the load on a grid: on a fine one from where it can be carried over, if it can be.
+
+        Otherwise from the beginning, which takes seconds on other grids.
 
         Raises
         ------
@@ -506,7 +504,7 @@ class _Nested:
         rest = LayerState.unloaded(level.grid)
         full = replace(rest, load=1.0, normal_force=rest.normal_force + self.bound_guess(level))
         guide = None if self.path is None else _guide(self.path[1], self.path[0], level)
-        if guide and carried and level.grid.n_elements > _QUICK:
+        if guide and carried and level.grid.n_elements > FINE:
             begin = self._begun(level, guide)
             if begin is not None:
                 with suppress(LoadNotReached):  # else from the beginning
@@ -548,7 +546,7 @@ class _Nested:
             beside.begin(level, begin, make_solver(level, self.solver))
         visited: list[LayerState] = []
         kept = self.similar is not None and whole  # guides the next layer
-        quick = level.grid.n_elements <= _QUICK
+        quick = level.grid.n_elements <= FINE
         guides = kept or level is not self.problem or quick
         path = Path(
             LoadedLayer(level, self._solvers(level), CARRIED if self.guided else SLOW),
@@ -625,7 +623,7 @@ class _Nested:
 
     def _soon(self, level: LayerProblem) -> bool:
         """Whether a load path is given up soon, because coarse edges get there sooner."""
-        return self._may_widen and level.grid.n_elements <= _QUICK
+        return self._may_widen and level.grid.n_elements <= FINE
 
     def _enough(self, level: LayerProblem, more: float = 1.0) -> bool:
         """Whether what a path may take, or ``more`` than that, has been spent."""

@@ -73,8 +73,9 @@ class LinearSolver(Protocol):
 
 #: Pressure, in shear moduli, above which contact forces no longer tell how large errors may be.
 _PRESSURE = 4.0
-#: Elements of a grid so fine that some node of a rim snaps for ever: what is out of balance then
-#: counts by how much it changes the force that the layer carries.
+#: Elements beyond which a grid is fine. Some node of a rim snaps there for ever, so that what is
+#: out of balance counts by how much it changes the force that the layer carries; and a load path
+#: takes more than seconds.
 FINE = 30_000
 #: Steps by the tangent of another state; and the share of the imbalance that each of them, or
 #: columns that are solved alone in vain, may leave.

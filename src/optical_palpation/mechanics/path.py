@@ -353,9 +353,9 @@ class Path(Generic[AnyState]):
             # on the way, what is near enough already is left as the similar path suggests it
             least = 0 if tried and not exact else wanted.least
             nearly = NEARLY[0] if exact else _NEARLY * wanted.force
-            wanted = replace(wanted, krylov=_KRYLOV, nearly=nearly, least=least)
+            wanted = replace(wanted, krylov=_KRYLOV, least=least)
             try:
-                now, count = self._reach(trial, wanted)
+                now, count = self._reach(trial, wanted, nearly=nearly)
             except NotConverged as failure:
                 if self.spent > self.allowed:
                     raise self._stopped(failure) from None
@@ -432,8 +432,7 @@ class Path(Generic[AnyState]):
             load = min(end, self.state.load + step)
             drag = Drag(viscosity * loaded.stiffness, self.state, bound)
             try:
-                trial = self.state.at_load(load)
-                now, count = self._reach(trial, replace(wanted, nearly=NEARLY[0]), drag)
+                now, count = self._reach(self.state.at_load(load), wanted, drag)
             except NotConverged as failure:
                 viscosity *= 4.0
                 step *= 0.5
@@ -476,8 +475,7 @@ class Path(Generic[AnyState]):
             if share < _REST[0] and rest.force_error < min(near, _NEAR):
                 near = 0.1 * rest.force_error
                 try:
-                    impatiently = replace(impatient(self.tolerances), nearly=NEARLY[0])
-                    now, count = self._reach(self.state, impatiently)
+                    now, count = self._reach(self.state, impatient(self.tolerances))
                 except NotConverged:
                     if left < NEARLY[1]:
                         return
@@ -507,10 +505,11 @@ class Path(Generic[AnyState]):
         trial: AnyState,
         wanted: Tolerances,
         drag: Drag[AnyState] | None = None,
+        nearly: float = NEARLY[0],
     ) -> tuple[Reached[AnyState], int]:
         """Equilibrium at the load of ``trial``, and the iterations; all of them are counted.
 
-        Where Newton's method fails, what is ``nearly`` one counts as one.
+        Where Newton's method fails, what is as near as ``nearly`` counts as one.
         """
 
         def count(iteration: int, now: Any, krylov: int) -> None:
@@ -521,9 +520,9 @@ class Path(Generic[AnyState]):
         if self.enough and self.enough():
             raise self._stopped(TOO_LONG)
         try:
-            return self.loaded.equilibrate(trial, wanted, count, drag)
+            return self.loaded.equilibrate(trial, replace(wanted, nearly=nearly), count, drag)
         except NotConverged as failure:
-            if failure.nearest and failure.nearest[0].distance < wanted.nearly:
+            if failure.nearest and failure.nearest[0].distance < nearly:
                 return failure.nearest
             raise
 
