@@ -219,6 +219,63 @@ def test_what_flickers_next_to_equilibrium_is_taken_as_it_is():
     assert loaded.drags > 0
 
 
+def egg_box(friction=0.5, **options):
+    """A layer on hills and valleys, between which it slides and sticks."""
+    relief = 0.1 * np.cos(0.5 * np.pi * AXIS) * np.cos(np.pi * AXIS[:, None])
+    return computational_stress(
+        thickness_map(0.35 + 0.8 * relief, x=AXIS, y=AXIS, where="egg box"),
+        0.5,
+        SILICONE,
+        window_friction=friction,
+        sample_friction=friction,
+        element_size=0.2,
+        edge_check=False,
+        input_errors=None,
+        **options,
+    )
+
+
+@pytest.fixture
+def refuse(monkeypatch):
+    """Let Newton's method fail where a condition holds on its drag and its load."""
+
+    def refused(condition):
+        solved, refusals = LoadedLayer.equilibrate, []
+
+        def equilibrate(layer, trial, tolerances, on_iteration, drag):
+            if condition(drag, trial.load):
+                refusals.append((layer, trial.load))
+                raise NotConverged("refused")
+            return solved(layer, trial, tolerances, on_iteration, drag)
+
+        monkeypatch.setattr(LoadedLayer, "equilibrate", equilibrate)
+        return refusals
+
+    return refused
+
+
+def test_friction_that_follows_from_solution_to_solution_carries_the_same(refuse):
+    """Each load path goes on in that way from the first failure on."""
+    alone = egg_box().maps.attrs
+    refused = refuse(lambda drag, load: drag is None and load > 0.3)
+    other = egg_box().maps.attrs
+    layers = [id(layer) for layer, load in refused if load < 1.0]
+    assert 0 < len(layers) == len(set(layers))
+    assert other["status"] == "converged"
+    assert other["force_residual"] < other["force_tolerance"]
+    assert other["sample_force_mN"] == pytest.approx(alone["sample_force_mN"], rel=0.01)
+
+
+def test_drag_all_the_way_leaves_no_slip_behind(refuse, monkeypatch):
+    """Where friction is bounded by the contact forces before each step, it carries a third less."""
+    alone = egg_box().maps.attrs
+    monkeypatch.setattr(path, "SNAPS", 0)  # drag stays
+    without = refuse(lambda drag, load: load > 0.2 and not (drag and drag.viscosity))
+    dragged = egg_box().maps.attrs
+    assert max(load for _, load in without) == 1.0
+    assert dragged["sample_force_mN"] == pytest.approx(alone["sample_force_mN"], rel=0.01)
+
+
 def disturbed(result):
     """The load path of a result, its full load reached, with the inner nodes out of place."""
     problem, start = result.problem, result.state.copy()
@@ -244,7 +301,7 @@ def test_what_does_not_settle_is_nearly_converged_and_says_so(monkeypatch):
     """Where steps run out near an equilibrium that is a result, and it warns; else it is none."""
     result = tilted(0.3)
     monkeypatch.setattr(path, "_NEAR", 0.0)  # Newton's method without drag would get there
-    monkeypatch.setattr(path, "_HELD", 7)
+    monkeypatch.setattr(path, "_HELD", 6)
     way = disturbed(result)
     way.settle()
     now = balance(result.problem, way.state)

@@ -195,7 +195,7 @@ def test_a_path_that_may_not_snap_so_often_is_given_up(snaps, drags, monkeypatch
         way.state = way.state.at_load(way.state.load + 0.1)
 
     monkeypatch.setattr(path.Path, "_creep", creep)
-    layer = SimpleNamespace(drags=0, equilibrate=equilibrate)
+    layer = SimpleNamespace(drags=0, equilibrate=equilibrate, contact_forces=lambda _: [])
     rest = LayerState.unloaded(problem().grid)
     way = path.Path(layer, TOLERANCES, TOLERANCES, rest, snaps=snaps)
     with pytest.raises(path.LoadNotReached, match="it snaps"):

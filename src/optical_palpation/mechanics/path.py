@@ -1,8 +1,9 @@
 """Following a load path, with automatic step control, of a layer on an imprint or of a stack.
 
-Loads are increased step by step, each in equilibrium by Newton's method (``Path.follow``). Where a
-body snaps, rolls or slides there is no equilibrium next to the last one, however small the step: it
-then moves as if in honey until it is at rest (``Path.settle``).
+Loads are increased step by step, each in equilibrium by Newton's method (``Path.follow``). Where
+that fails, friction follows the contact forces from one solution to the next instead of within each
+(``Path._lagged``). Where a body snaps, rolls or slides there is no equilibrium next to the last
+one, however small the step: it then moves as if in honey until it is at rest (``Path.settle``).
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ SNAPS = 1
 #: Viscosity, in the ``stiffness`` of what is loaded: at first, the least and the most. It is halved
 #: after an easy step (a quarter of it is left at the full load), and four times as large, with half
 #: the increment, after a failure.
-_VISCOSITY, _LEAST, _MOST = 100.0, 0.01, 1e5
+_VISCOSITY, _LEAST, _MOST = 10.0, 0.01, 1e5
 #: Least increment of the load against drag.
 _CREEP = 1e-5
 #: Drag, as a share of the contact forces, below which all is as good as at rest: at the full load,
@@ -41,6 +42,11 @@ _CREEP = 1e-5
 _REST = (0.03, 0.01)
 #: Drag, as a share of the contact forces, without which nothing moves any more.
 _STILL = 1e-5
+#: Solutions of one load in which friction must come to be bounded by the contact forces of its own:
+#: on the way, where these may differ by a share from those that bound it, and at the full load.
+_ROUNDS, _APART, _ROUNDS_AT_LAST = 8, 0.005, 32
+#: Newton iterations in which the distance of each of them must fall to three tenths.
+_PATIENCE = 5
 #: Share of the contact forces out of balance below which Newton's method is tried without drag.
 _NEAR = 0.1
 #: Steps in which fully loaded bodies must come to rest, and after which those that still move as a
@@ -93,9 +99,10 @@ Taken = TypeVar("Taken", bound=Loadable, contravariant=True)
 class Drag(Generic[AnyState]):
     """One implicit Euler step of bodies in honey, from the state ``origin``.
 
-    ``viscosity``, kPa / mm^2, is that by which ``resistance`` holds them. Friction of each contact
-    is bounded by given normal forces, ``bound``, mN: where it is bounded by those that are sought,
-    nodes at free edges stick, lose contact, slip back and touch again for ever.
+    ``viscosity``, kPa / mm^2, is that by which ``resistance`` holds them; zero is no honey at all.
+    Friction of each contact is bounded by given normal forces, ``bound``, mN: where it is bounded
+    by those that are sought, nodes at free edges stick, lose contact, slip back and touch again for
+    ever.
     """
 
     viscosity: float
@@ -293,6 +300,7 @@ class Path(Generic[AnyState]):
     enough: Callable[[], bool] | None = None
     record: list[tuple[float, int]] = field(default_factory=list, init=False)
     spent: int = field(default=0, init=False)
+    _lags: bool = field(default=False, init=False)  # friction, as what led to the last load
     _mixture: tuple[float, float] = field(default=(1.0, 0.0), init=False)  # guide, line
 
     def __post_init__(self) -> None:
@@ -355,7 +363,7 @@ class Path(Generic[AnyState]):
             nearly = NEARLY[0] if exact else _NEARLY * wanted.force
             wanted = replace(wanted, krylov=_KRYLOV, least=least)
             try:
-                now, count = self._reach(trial, wanted, nearly=nearly)
+                now, counts = self._equilibrium(trial, wanted, nearly, exact)
             except NotConverged as failure:
                 if self.spent > self.allowed:
                     raise self._stopped(failure) from None
@@ -382,15 +390,15 @@ class Path(Generic[AnyState]):
                 continue
             if load in stops:
                 kept.append(now.state)
-            if tried and count > 0 and self.before is not None:
+            if tried and sum(counts) > 0 and self.before is not None:
                 self._mix(tried, now.state)
-            self._accept(self.loaded.remember(now) if load < 1.0 else now.state, count)
+            self._accept(self.loaded.remember(now) if load < 1.0 else now.state, sum(counts))
             failed = 0
             if beside:
                 beside.load(self.state)
-            if count <= self.control.easy:
+            if max(counts) <= self.control.easy:
                 step = min(self.control.largest, 1.5 * step)
-            elif count >= self.control.hard:
+            elif max(counts) >= self.control.hard:
                 step = max(_SNAP, 0.5 * step)
         return kept
 
@@ -406,6 +414,98 @@ class Path(Generic[AnyState]):
         """
         self._creep(self.state.load, _SNAP, _CARRIED, moves=False)
 
+    def _equilibrium(
+        self, trial: AnyState, wanted: Tolerances, nearly: float, exact: bool
+    ) -> tuple[Reached[AnyState], list[int]]:
+        """Equilibrium at the load of ``trial``, and the iterations of all solutions on the way.
+
+        Friction follows the contact forces within Newton's method or, where that fails, from one
+        solution to the next. What led to the last load is tried first.
+        """
+
+        def coupled() -> tuple[Reached[AnyState], list[int]]:
+            now, count = self._reach(trial, wanted, nearly=nearly)
+            return now, [count]
+
+        def lagged() -> tuple[Reached[AnyState], list[int]]:
+            bound = [np.maximum(force, 0.0) for force in self.loaded.contact_forces(trial)]
+            loose = replace(self.intermediate, patience=_PATIENCE, krylov=_KRYLOV)
+            final = wanted if exact else None
+            now, counts, _ = self._lagged(trial, loose, Drag(0.0, self.state, bound), final)
+            return now, counts
+
+        if self.state.load == 0.0 or self.similar:
+            return coupled()
+        first, second = (lagged, coupled) if self._lags else (coupled, lagged)
+        try:
+            return first()
+        except NotConverged:
+            found = second()
+        self._lags = not self._lags
+        return found
+
+    def _lagged(
+        self,
+        trial: AnyState,
+        wanted: Tolerances,
+        drag: Drag[AnyState],
+        final: Tolerances | None = None,
+    ) -> tuple[Reached[AnyState], list[int], Drag[AnyState]]:
+        """Equilibrium with friction bounded by contact forces that come to be its own.
+
+        Friction with a given bound has a potential, and Newton's method arrives where it does not
+        with a bound that is sought, too. So each solution is bounded by the contact forces of those
+        before, which it follows by ``relaxation``. Drag is a quarter from one to the next until it
+        holds next to nothing.
+
+        Parameters
+        ----------
+        final
+            What must be met in the end without drag, with friction bounded by what is sought.
+
+        Returns
+        -------
+        tuple
+            The last solution, the iterations of each, and the drag against which it was found.
+
+        Raises
+        ------
+        NotConverged
+            Where the first of them does not arrive or, without drag, the last.
+        """
+        kept, counts = None, list[int]()
+        last, part = None, 1.0
+        for _ in range(_ROUNDS_AT_LAST if final else _ROUNDS):
+            try:
+                now, count = self._reach(trial, wanted, drag)
+            except NotConverged:
+                if kept is None or drag.viscosity == 0.0:
+                    raise
+                return kept
+            counts.append(count)
+            kept = now, counts, drag
+            if final:
+                rest = self.loaded.balance(now.state)
+                if met(rest, final):
+                    return rest, counts, drag
+                tenth = self._tenth(rest.force_error)
+                wanted = replace(wanted, force=tenth.force, volume=tenth.volume)
+            forces = self.loaded.contact_forces(now.state)
+            change = _less(forces, drag.bound)
+            if self._force(drag, now.state) > _REST[1] * _norm(forces):
+                drag = replace(drag, viscosity=0.25 * drag.viscosity)
+                last, part = None, 1.0
+            elif not final and _norm(change) < _APART * _norm(forces):
+                return kept
+            else:
+                part = part if last is None else relaxation(part, last, change)
+                last = change
+            drag = replace(drag, bound=_followed(drag.bound, change, part))
+            trial = now.state
+        if kept is None or drag.viscosity == 0.0:
+            raise NotConverged("friction and contact forces do not settle")
+        return kept
+
     def _creep(
         self,
         end: float,
@@ -416,12 +516,13 @@ class Path(Generic[AnyState]):
     ) -> None:
         """Go on against drag: to a load and rest, or to next to no drag before that.
 
-        Friction is bounded by the contact forces before each step (``Drag``); once the load is
-        reached, its bound follows them by ``relaxation``: great friction at free edges would swing
-        with them. When they no longer change, and nothing moves, the state is one of equilibrium as
-        it stands; where they change for ever, it may nearly be one. Newton's method, with friction
-        bounded by what is sought, is tried again whenever a tenth is left of what was out of
-        balance. What ``moves`` slips on its way, and friction remembers that.
+        Friction is bounded by given contact forces (``Drag``), on the way by those at the same load
+        (``_lagged``); once the load is reached, its bound follows them by ``relaxation``: great
+        friction at free edges would swing with them. When they no longer change, and nothing moves,
+        the state is one of equilibrium as it stands; where they change for ever, it may nearly be
+        one. Newton's method, with friction bounded by what is sought, is tried again whenever a
+        tenth is left of what was out of balance. What ``moves`` slips on its way, and friction
+        remembers that.
         """
         loaded = self.loaded
         viscosity, wanted, near = _VISCOSITY, self.intermediate, np.inf
@@ -431,8 +532,14 @@ class Path(Generic[AnyState]):
         while True:
             load = min(end, self.state.load + step)
             drag = Drag(viscosity * loaded.stiffness, self.state, bound)
+            trial = self.state.at_load(load)
             try:
-                now, count = self._reach(self.state.at_load(load), wanted, drag)
+                if moves and load > self.state.load:
+                    now, counts, drag = self._lagged(trial, wanted, drag)
+                    viscosity, bound = drag.viscosity / loaded.stiffness, drag.bound
+                else:
+                    now, count = self._reach(trial, wanted, drag)
+                    counts = [count]
             except NotConverged as failure:
                 viscosity *= 4.0
                 step *= 0.5
@@ -445,22 +552,22 @@ class Path(Generic[AnyState]):
                 continue
             forces = loaded.contact_forces(now.state)
             share = self._force(drag, now.state) / max(_norm(forces), 1e-30)
-            self._accept(loaded.remember(now) if moves else now.state, count)
-            if count <= self.control.easy:
-                step *= 1.5
+            passed = moves and load < 1.0
+            self._accept(loaded.remember(now) if passed else now.state, sum(counts))
+            if max(counts) <= self.control.easy:
+                step = min(self.control.largest, 1.5 * step)
                 viscosity = max(_LEAST, (0.5 if load < end else 0.25) * viscosity)
             if load < end:
                 bound = forces
                 if share < _REST[1] and not stay:
                     return
                 continue
-            last, change = change, [now - then for now, then in zip(forces, bound, strict=True)]
+            last, change = change, _less(forces, bound)
             if last is not None:
                 part = relaxation(part, last, change)
-                if moves:  # slip by too low a bound would be remembered
+                if passed:  # slip by too low a bound would be remembered
                     part = min(part, 1.0)
-            pairs = zip(bound, change, strict=True)
-            bound = [np.maximum(then + part * by, 0.0) for then, by in pairs]
+            bound = _followed(bound, change, part)
             rest = loaded.balance(self.state)
             if met(rest, self.resting or self.tolerances):
                 return
@@ -567,6 +674,15 @@ def relaxation(part: float, last: Sequence[Array], change: Sequence[Array]) -> f
     if along >= 0.0:
         return most
     return float(np.clip(-part * along / _norm(turn) ** 2, least, most))
+
+
+def _less(forces: Sequence[Array], others: Sequence[Array]) -> list[Array]:
+    return [one - other for one, other in zip(forces, others, strict=True)]
+
+
+def _followed(bound: Sequence[Array], change: Sequence[Array], part: float) -> list[Array]:
+    """Bound of friction after a part of a change of the contact forces, mN."""
+    return [np.maximum(then + part * by, 0.0) for then, by in zip(bound, change, strict=True)]
 
 
 def _norm(forces: Sequence[Array]) -> float:
