@@ -45,8 +45,9 @@ _STILL = 1e-5
 #: Solutions of one load in which friction must come to be bounded by the contact forces of its own:
 #: on the way, where these may differ by a share from those that bound it, and at the full load.
 _ROUNDS, _APART, _ROUNDS_AT_LAST = 8, 0.005, 32
-#: Newton iterations in which the distance of each of them must fall to three tenths.
-_PATIENCE = 5
+#: Newton iterations in which the distance of each of them must fall to three tenths; solutions in
+#: which that must fall so far which nearly is one of equilibrium.
+_PATIENCE, _FLICKERS = 5, 4
 #: Share of the contact forces out of balance below which Newton's method is tried without drag.
 _NEAR = 0.1
 #: Steps in which fully loaded bodies must come to rest, and after which those that still move as a
@@ -430,7 +431,7 @@ class Path(Generic[AnyState]):
         def lagged() -> tuple[Reached[AnyState], list[int]]:
             bound = [np.maximum(force, 0.0) for force in self.loaded.contact_forces(trial)]
             loose = replace(self.intermediate, patience=_PATIENCE, krylov=_KRYLOV)
-            final = wanted if exact else None
+            final = replace(wanted, nearly=nearly) if exact else None
             now, counts, _ = self._lagged(trial, loose, Drag(0.0, self.state, bound), final)
             return now, counts
 
@@ -466,14 +467,16 @@ class Path(Generic[AnyState]):
         Returns
         -------
         tuple
-            The last solution, the iterations of each, and the drag against which it was found.
+            The last solution (at last the nearest, where they flicker next to equilibrium), the
+            iterations of each, and the drag against which it was found.
 
         Raises
         ------
         NotConverged
-            Where the first of them does not arrive or, without drag, the last.
+            Where the first of them does not arrive or, without drag, none is near enough.
         """
         kept, counts = None, list[int]()
+        nearest, left = None, list[float]()
         last, part = None, 1.0
         for _ in range(_ROUNDS_AT_LAST if final else _ROUNDS):
             try:
@@ -488,6 +491,11 @@ class Path(Generic[AnyState]):
                 rest = self.loaded.balance(now.state)
                 if met(rest, final):
                     return rest, counts, drag
+                left.append(rest.distance)
+                if nearest is None or rest.distance < nearest.distance:
+                    nearest = rest
+                if nearest.distance < final.nearly and _flickers(left):
+                    return nearest, counts, drag
                 tenth = self._tenth(rest.force_error)
                 wanted = replace(wanted, force=tenth.force, volume=tenth.volume)
             forces = self.loaded.contact_forces(now.state)
@@ -683,6 +691,11 @@ def _less(forces: Sequence[Array], others: Sequence[Array]) -> list[Array]:
 def _followed(bound: Sequence[Array], change: Sequence[Array], part: float) -> list[Array]:
     """Bound of friction after a part of a change of the contact forces, mN."""
     return [np.maximum(then + part * by, 0.0) for then, by in zip(bound, change, strict=True)]
+
+
+def _flickers(left: Sequence[float]) -> bool:
+    """Whether distances, of one solution after the other, no longer fall to three tenths."""
+    return len(left) > _FLICKERS and min(left[-_FLICKERS:]) > 0.3 * left[-1 - _FLICKERS]
 
 
 def _norm(forces: Sequence[Array]) -> float:
