@@ -175,7 +175,7 @@ def iterate(
             if nearest.distance < tolerances.nearly:
                 patience = max(patience // 3, 2)
             left.append(now.distance)
-            if iteration >= patience and min(left[-patience:]) > 0.3 * left[-1 - patience]:
+            if stagnates(left, patience):
                 raise NotConverged("Newton's method stagnates")
             if iteration >= tolerances.least and met(now, tolerances):
                 return now, iteration
@@ -216,6 +216,11 @@ def softness(damping: float, stiffness: float, shear_modulus: float) -> float:
 def met(now: Iterate, tolerances: Tolerances) -> bool:
     """Whether an iterate is in equilibrium."""
     return now.force_error < tolerances.force and now.volume_error < tolerances.volume
+
+
+def stagnates(left: Sequence[float], patience: int) -> bool:
+    """Whether none of the last distances, ``patience`` of them, fell to 0.3 of the one before."""
+    return len(left) > patience and min(left[-patience:]) > 0.3 * left[-1 - patience]
 
 
 def _search(

@@ -16,7 +16,7 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from .iteration import Iterate, NotConverged, Tolerances, impatient, met, relaxed
+from .iteration import Iterate, NotConverged, Tolerances, impatient, met, relaxed, stagnates
 
 Array = NDArray[np.float64]
 
@@ -494,7 +494,7 @@ class Path(Generic[AnyState]):
                 left.append(rest.distance)
                 if nearest is None or rest.distance < nearest.distance:
                     nearest = rest
-                if nearest.distance < final.nearly and _flickers(left):
+                if nearest.distance < final.nearly and stagnates(left, _FLICKERS):
                     return nearest, counts, drag
                 tenth = self._tenth(rest.force_error)
                 wanted = replace(wanted, force=tenth.force, volume=tenth.volume)
@@ -691,11 +691,6 @@ def _less(forces: Sequence[Array], others: Sequence[Array]) -> list[Array]:
 def _followed(bound: Sequence[Array], change: Sequence[Array], part: float) -> list[Array]:
     """Bound of friction after a part of a change of the contact forces, mN."""
     return [np.maximum(then + part * by, 0.0) for then, by in zip(bound, change, strict=True)]
-
-
-def _flickers(left: Sequence[float]) -> bool:
-    """Whether distances, of one solution after the other, no longer fall to three tenths."""
-    return len(left) > _FLICKERS and min(left[-_FLICKERS:]) > 0.3 * left[-1 - _FLICKERS]
 
 
 def _norm(forces: Sequence[Array]) -> float:
