@@ -31,9 +31,10 @@ AXIS = np.linspace(0, 2, 41)
 TILTED = 0.5 - 0.15 * AXIS / 2
 
 
-def tilted(friction, element_size=0.25, **options):
+def pressed(height, friction, element_size, **options):
+    """Press a layer of 0.5 mm down to so many mm."""
     return computational_stress(
-        thickness_map(np.tile(TILTED, (41, 1)), x=AXIS, y=AXIS, where="tilted plate"),
+        thickness_map(height, x=AXIS, y=AXIS, where="made"),
         0.5,
         SILICONE,
         window_friction=friction,
@@ -43,6 +44,10 @@ def tilted(friction, element_size=0.25, **options):
         input_errors=None,
         **options,
     )
+
+
+def tilted(friction, element_size=0.25, **options):
+    return pressed(np.tile(TILTED, (41, 1)), friction, element_size, **options)
 
 
 def test_a_layer_that_nothing_holds_slides_away_and_is_no_result():
@@ -219,20 +224,10 @@ def test_what_flickers_next_to_equilibrium_is_taken_as_it_is():
     assert loaded.drags > 0
 
 
-def egg_box(friction=0.5, **options):
+def egg_box():
     """A layer on hills and valleys, between which it slides and sticks."""
     relief = 0.1 * np.cos(0.5 * np.pi * AXIS) * np.cos(np.pi * AXIS[:, None])
-    return computational_stress(
-        thickness_map(0.35 + 0.8 * relief, x=AXIS, y=AXIS, where="egg box"),
-        0.5,
-        SILICONE,
-        window_friction=friction,
-        sample_friction=friction,
-        element_size=0.2,
-        edge_check=False,
-        input_errors=None,
-        **options,
-    )
+    return pressed(0.35 + 0.8 * relief, 0.5, 0.2)
 
 
 @pytest.fixture
