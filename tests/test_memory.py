@@ -227,18 +227,25 @@ def test_control_groups_of_this_process_are_folders_with_a_limit():
     assert memory.available_memory() > 1e6
 
 
-def test_threads_are_those_the_process_may_use_and_hold_for_all_libraries(monkeypatch):
+def blas_threads() -> set[int]:
+    pools = threadpoolctl.threadpool_info()
+    return {pool["num_threads"] for pool in pools if pool["user_api"] == "blas"}
+
+
+def test_threads_are_those_the_process_may_use_and_libraries_take_one(monkeypatch):
     if hasattr(os, "sched_getaffinity"):
         monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {3})
         assert threads.available_threads() == 1
         monkeypatch.undo()
-    before = nb.get_num_threads()
-    with threads.limited_threads(1) as number:
-        assert number == nb.get_num_threads() == 1
-        pools = threadpoolctl.threadpool_info()
-        assert [p["num_threads"] for p in pools if p["user_api"] == "blas"]
-        assert all(p["num_threads"] == 1 for p in pools if p["user_api"] == "blas")
-    assert nb.get_num_threads() == before
+    before = nb.get_num_threads(), blas_threads()
+    with threads.limited_threads() as number:
+        assert number == nb.get_num_threads()
+        assert blas_threads() == {1}
+        with threads.limited_threads(1) as inner:
+            assert inner == nb.get_num_threads() == 1
+        assert number == nb.get_num_threads()
+        assert blas_threads() == {1}
+    assert (nb.get_num_threads(), blas_threads()) == before
     with threads.limited_threads(10_000) as number:
         assert number == threads.available_threads()
 

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,8 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optical_palpation import parallel
-from optical_palpation.parallel import blas_threads, in_parallel
+from optical_palpation.parallel import in_parallel
 
 
 class Pair(NamedTuple):
@@ -134,32 +132,3 @@ def test_all_of_this_on_two_threads():
         text=True,
     )
     assert done.returncode == 0, done.stdout
-
-
-def test_libraries_are_held_to_what_was_asked_for_last_and_let_go(monkeypatch):
-    class Libraries:
-        threads = 8
-        calls = 0
-
-        @contextmanager
-        def limit(self, limits, user_api):
-            self.calls += 1
-            before, self.threads = self.threads, limits
-            try:
-                yield
-            finally:
-                self.threads = before
-
-    libraries = Libraries()
-    monkeypatch.setattr(parallel, "_libraries", lambda: libraries)
-    with blas_threads(2):
-        assert libraries.threads == 2
-        with blas_threads(1):
-            with blas_threads(1):  # costs nothing
-                assert (libraries.threads, libraries.calls) == (1, 2)
-            assert libraries.threads == 1
-            with pytest.raises(ZeroDivisionError), blas_threads(2):
-                raise ZeroDivisionError
-            assert libraries.threads == 1
-        assert libraries.threads == 2
-    assert libraries.threads == 8

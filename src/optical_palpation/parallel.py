@@ -7,10 +7,7 @@ Numba's threads are launched by way of its lowering, most of which is not docume
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
-from functools import cache
+from collections.abc import Iterable
 from typing import Any, cast
 
 import numba as nb
@@ -18,7 +15,6 @@ from llvmlite import ir
 from llvmlite.binding import Linkage
 from numba import extending
 from numba.core import cgutils, types
-from threadpoolctl import ThreadpoolController
 
 from optical_palpation.errors import InputError
 from optical_palpation.runtime.environment import check_environment, public_numba
@@ -31,8 +27,6 @@ intrinsic: Any = extending.intrinsic
 
 
 _launched_by: int | None = None
-#: Threads to which the linear algebra libraries are held.
-_held: ContextVar[int | None] = ContextVar("blas threads", default=None)
 
 
 def launch_threads() -> None:
@@ -67,30 +61,6 @@ def is_fork() -> bool:
 
 def _alone_after_fork() -> None:
     nb.set_num_threads(1)
-
-
-@contextmanager
-def blas_threads(number: int) -> Iterator[None]:
-    """Hold the linear algebra libraries to so many threads.
-
-    Small matrices take one: on busy cores several wait for one another a hundred times as long as
-    the work takes.
-    """
-    if _held.get() == number:  # to ask for it again takes as long as a small product
-        yield
-        return
-    before = _held.set(number)
-    try:
-        with _libraries().limit(limits=number, user_api="blas"):
-            yield
-    finally:
-        _held.reset(before)
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    """Return the libraries that are loaded; to find them takes milliseconds."""
-    return ThreadpoolController()
 
 
 def _keep_to_itself(library):

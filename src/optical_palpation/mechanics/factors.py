@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from optical_palpation.parallel import blas_threads, in_parallel
+from optical_palpation.parallel import in_parallel
 from optical_palpation.runtime.kernels import keep_kernels
 
 from .intrinsics import subtract_matrix_product
@@ -158,15 +158,13 @@ class Factors:
         nodes[unknowns] = np.arange(len(unknowns))[:, None]
         components[unknowns] = np.arange(3)
         self._values = np.empty(self._fronts.factors[-1])
-        # small products, of which many threads do one each
-        with blas_threads(1):
-            _eliminate(
-                (matrix.indptr, matrix.indices, matrix.data),
-                (by_column.indptr, by_column.indices, by_column.data),
-                (unknowns, nodes, components),
-                self._fronts,
-                self._values,
-            )
+        _eliminate(
+            (matrix.indptr, matrix.indices, matrix.data),
+            (by_column.indptr, by_column.indices, by_column.data),
+            (unknowns, nodes, components),
+            self._fronts,
+            self._values,
+        )
 
     def solve(self, rhs: Array) -> Array:
         """Solutions of right-hand sides, both (3 n, m)."""
@@ -176,8 +174,7 @@ class Factors:
         for n, block in enumerate(work):
             part = rhs[self._order, n * width : (n + 1) * width]
             block[:, : part.shape[1]] = part
-        with blas_threads(1):
-            _solve(self._fronts, self._values, work)
+        _solve(self._fronts, self._values, work)
         out = np.empty((size, count))
         for n, block in enumerate(work):
             part = out[:, n * width : (n + 1) * width]

@@ -22,7 +22,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from optical_palpation.parallel import blas_threads, in_parallel
+from optical_palpation.parallel import in_parallel
 
 from .intrinsics import prefetch
 from .lanes import FAST, LARGEST, L
@@ -103,8 +103,7 @@ def threads_for(node_shape: tuple[int, ...]) -> Iterator[None]:
     given = _allowed.set(max(allowed, _allowed.get()))
     nb.set_num_threads(1)
     try:
-        with blas_threads(1):
-            yield
+        yield
     finally:
         nb.set_num_threads(allowed)
         _allowed.reset(given)

@@ -1,4 +1,4 @@
-"""How many threads a computation may use, and holding all libraries to it."""
+"""How many threads a computation may use, and holding the kernels and libraries to it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from math import ceil
 
 import numba as nb
+from threadpoolctl import ThreadpoolController
 
 from optical_palpation.palpation.memory import control_groups
-from optical_palpation.parallel import blas_threads, is_fork, launch_threads
+from optical_palpation.parallel import is_fork, launch_threads
 
 _ALONE = threading.RLock()
 
@@ -30,7 +32,11 @@ def available_threads() -> int:
 
 @contextmanager
 def limited_threads(threads: int | None = None) -> Iterator[int]:
-    """Hold the kernels and the linear algebra libraries to ``threads``, at most all there are.
+    """Hold the kernels to ``threads``, at most all there are, and linear algebra libraries to one.
+
+    After each product a library's own threads wait for the next one without sleeping, for
+    milliseconds, on the cores that the kernels are about to use: all between products would take
+    twice as long.
 
     One computation runs at a time, since the libraries know only one number of threads for the
     whole process; another thread of Python waits for it.
@@ -47,10 +53,16 @@ def limited_threads(threads: int | None = None) -> Iterator[int]:
         number = min(threads or available_threads(), available_threads(), before)
         nb.set_num_threads(number)
         try:
-            with blas_threads(number):
+            with _libraries().limit(limits=1, user_api="blas"):
                 yield number
         finally:
             nb.set_num_threads(before)
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Return the libraries that are loaded; to find them takes milliseconds."""
+    return ThreadpoolController()
 
 
 def _quota() -> float:
