@@ -21,7 +21,7 @@ from .effort import Effort, counted
 from .friction import held_fast
 from .grid import LayerGrid, contact_nodes, edge_width, face_and_sides, node_positions
 from .imprint import Imprint
-from .iteration import TOLERANCES, NotConverged, Tolerances, impatient, relaxed
+from .iteration import TOLERANCES, NotConverged, Tolerances, impatient, nearly_met, relaxed
 from .krylov import MultigridSolver
 from .multigrid import coarse_nodes
 from .neighbours import Neighbours
@@ -595,7 +595,7 @@ class _Nested:
             if failure.nearest is None:
                 raise
             now, count = failure.nearest
-            if now.distance >= wanted.nearly:
+            if not nearly_met(now, wanted):
                 return now.state, False
         self.record.append((level.grid.n_elements, state.load, count))
         return now.state, True

@@ -10,13 +10,24 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .iteration import Iterate, NotConverged, Tolerances, impatient, met, relaxed, stagnates
+from .iteration import (
+    Iterate,
+    NotConverged,
+    Tolerances,
+    impatient,
+    met,
+    nearly_met,
+    relaxed,
+    stagnates,
+)
 
 Array = NDArray[np.float64]
 
@@ -44,9 +55,9 @@ _REST = (0.03, 0.01)
 _STILL = 1e-5
 #: Solutions of one load in which friction must come to be bounded by the contact forces of its own:
 #: on the way, where these may differ by a share from those that bound it, and at the full load.
-_ROUNDS, _APART, _ROUNDS_AT_LAST = 8, 0.005, 32
-#: Newton iterations in which the distance of each of them must fall to three tenths; solutions in
-#: which that must fall so far which nearly is one of equilibrium.
+_ROUNDS, _APART, _ROUNDS_AT_LAST = 12, 0.002, 32
+#: Newton iterations in which the distance must fall to three tenths where there is another way;
+#: solutions in which that must fall so far which nearly is one of equilibrium.
 _PATIENCE, _FLICKERS = 5, 4
 #: Share of the contact forces out of balance below which Newton's method is tried without drag.
 _NEAR = 0.1
@@ -64,8 +75,9 @@ TOO_LONG = "it took too long"
 NEARLY = (1e-4, 1e-3, 0.02)
 #: Share of what may be out of balance on the way that may be left where Newton's method fails.
 _NEARLY = 0.1
-#: How much of the last change the bound of friction follows: at first, the least and the most.
-_RELAXATION = (0.5, 0.1, 2.0)
+#: How much of a change of the contact forces the bound of friction follows: the least and the most,
+#: and at first in steps against drag.
+_RELAXATION, _AGAINST_DRAG = (0.1, 2.0), 0.5
 #: Smallest singular value of two ways, by the largest: what is less apart counts as one way.
 _ALIKE = 1e-3
 #: Iterations of the linear solver that a load may take: more of them cost more than a smaller one.
@@ -109,6 +121,39 @@ class Drag(Generic[AnyState]):
     viscosity: float
     origin: AnyState
     bound: Sequence[Array]
+
+
+@dataclass
+class Bound:
+    """Contact forces, mN, that bound friction and follow those found with it (Aitken's method).
+
+    ``part`` is how much of a change they follow: at first, and then of the last one.
+    """
+
+    forces: Sequence[Array]
+    part: float = 1.0
+    _change: Sequence[Array] | None = field(default=None, init=False)
+
+    def apart(self, found: Sequence[Array]) -> float:
+        """How far what was found is from them, as a 2-norm, mN."""
+        return _norm(_less(found, self.forces))
+
+    def follow(self, found: Sequence[Array], most: float = _RELAXATION[1]) -> None:
+        """Follow what was found, by at most so many times the change.
+
+        A change that grows leads away from an equilibrium that is not stable, and is followed as
+        far as may be.
+        """
+        last, self._change = self._change, _less(found, self.forces)
+        if last is not None:
+            turn = _less(self._change, last)
+            along = sum(float((then * by).sum()) for then, by in zip(last, turn, strict=True))
+            ahead = np.inf if along >= 0.0 else -self.part * along / _norm(turn) ** 2
+            self.part = float(np.clip(ahead, _RELAXATION[0], most))
+        self.forces = [
+            np.maximum(then + self.part * by, 0.0)
+            for then, by in zip(self.forces, self._change, strict=True)
+        ]
 
 
 class Reached(Iterate, Protocol[Given]):
@@ -420,55 +465,47 @@ class Path(Generic[AnyState]):
     ) -> tuple[Reached[AnyState], list[int]]:
         """Equilibrium at the load of ``trial``, and the iterations of all solutions on the way.
 
-        Friction follows the contact forces within Newton's method or, where that fails, from one
-        solution to the next. What led to the last load is tried first.
+        Friction follows the contact forces within Newton's method or, where that comes no nearer
+        for a while, from one solution to the next. What led to the last load is tried first.
         """
 
-        def coupled() -> tuple[Reached[AnyState], list[int]]:
+        def coupled(wanted: Tolerances, nearly: float) -> tuple[Reached[AnyState], list[int]]:
             now, count = self._reach(trial, wanted, nearly=nearly)
             return now, [count]
 
         def lagged() -> tuple[Reached[AnyState], list[int]]:
             bound = [np.maximum(force, 0.0) for force in self.loaded.contact_forces(trial)]
+            drag = Drag(0.0, self.state, bound)
             loose = replace(self.intermediate, patience=_PATIENCE, krylov=_KRYLOV)
-            final = replace(wanted, nearly=nearly) if exact else None
-            now, counts, _ = self._lagged(trial, loose, Drag(0.0, self.state, bound), final)
+            if exact:
+                return self._lagged_at_last(trial, loose, drag, replace(wanted, nearly=nearly))
+            now, counts, _ = self._lagged(trial, loose, drag)
             return now, counts
 
-        if self.state.load == 0.0 or self.similar:
-            return coupled()
-        first, second = (lagged, coupled) if self._lags else (coupled, lagged)
-        try:
-            return first()
-        except NotConverged:
-            found = second()
-        self._lags = not self._lags
-        return found
+        if self.state.load > 0.0 and not self.similar:
+            soon = partial(coupled, replace(wanted, patience=_PATIENCE), 0.0)
+            first, second = (lagged, soon) if self._lags else (soon, lagged)
+            with suppress(NotConverged):
+                return first()
+            with suppress(NotConverged):
+                found = second()
+                self._lags = not self._lags
+                return found
+        return coupled(wanted, nearly)
 
     def _lagged(
-        self,
-        trial: AnyState,
-        wanted: Tolerances,
-        drag: Drag[AnyState],
-        final: Tolerances | None = None,
+        self, trial: AnyState, wanted: Tolerances, drag: Drag[AnyState]
     ) -> tuple[Reached[AnyState], list[int], Drag[AnyState]]:
-        """Equilibrium with friction bounded by contact forces that come to be its own.
+        """Equilibrium with friction bounded by contact forces that come to be nearly its own.
 
         Friction with a given bound has a potential, and Newton's method arrives where it does not
         with a bound that is sought, too. So each solution is bounded by the contact forces of those
-        before, which it follows by ``relaxation``. Drag is a quarter from one to the next until it
-        holds next to nothing.
-
-        Parameters
-        ----------
-        final
-            What must be met in the end without drag, with friction bounded by what is sought.
+        before (``Bound``). Drag is a quarter from one to the next until it holds next to nothing.
 
         Returns
         -------
         tuple
-            The last solution (at last the nearest, where they flicker next to equilibrium), the
-            iterations of each, and the drag against which it was found.
+            The last solution, the iterations of each, and the drag against which it was found.
 
         Raises
         ------
@@ -476,9 +513,8 @@ class Path(Generic[AnyState]):
             Where the first of them does not arrive or, without drag, none is near enough.
         """
         kept, counts = None, list[int]()
-        nearest, left = None, list[float]()
-        last, part = None, 1.0
-        for _ in range(_ROUNDS_AT_LAST if final else _ROUNDS):
+        bound = Bound(drag.bound)
+        for _ in range(_ROUNDS):
             try:
                 now, count = self._reach(trial, wanted, drag)
             except NotConverged:
@@ -487,32 +523,58 @@ class Path(Generic[AnyState]):
                 return kept
             counts.append(count)
             kept = now, counts, drag
-            if final:
-                rest = self.loaded.balance(now.state)
-                if met(rest, final):
-                    return rest, counts, drag
-                left.append(rest.distance)
-                if nearest is None or rest.distance < nearest.distance:
-                    nearest = rest
-                if nearest.distance < final.nearly and stagnates(left, _FLICKERS):
-                    return nearest, counts, drag
-                tenth = self._tenth(rest.force_error)
-                wanted = replace(wanted, force=tenth.force, volume=tenth.volume)
             forces = self.loaded.contact_forces(now.state)
-            change = _less(forces, drag.bound)
             if self._force(drag, now.state) > _REST[1] * _norm(forces):
                 drag = replace(drag, viscosity=0.25 * drag.viscosity)
-                last, part = None, 1.0
-            elif not final and _norm(change) < _APART * _norm(forces):
+                bound = Bound(bound.forces)
+            elif bound.apart(forces) < _APART * _norm(forces):
                 return kept
-            else:
-                part = part if last is None else relaxation(part, last, change)
-                last = change
-            drag = replace(drag, bound=_followed(drag.bound, change, part))
+            bound.follow(forces)
+            drag = replace(drag, bound=bound.forces)
             trial = now.state
         if kept is None or drag.viscosity == 0.0:
             raise NotConverged("friction and contact forces do not settle")
         return kept
+
+    def _lagged_at_last(
+        self, trial: AnyState, wanted: Tolerances, drag: Drag[AnyState], final: Tolerances
+    ) -> tuple[Reached[AnyState], list[int]]:
+        """Equilibrium by way of friction bounded by contact forces that come to be its own.
+
+        As ``_lagged``, without drag, until ``final`` is met with friction bounded by what is
+        sought.
+
+        Returns
+        -------
+        tuple
+            The last solution, the nearest where they flicker next to equilibrium, and the
+            iterations of each.
+
+        Raises
+        ------
+        NotConverged
+            Where one of them does not arrive, or none is near enough.
+        """
+        counts, left = list[int](), list[float]()
+        nearest = None
+        bound = Bound(drag.bound)
+        for _ in range(_ROUNDS_AT_LAST):
+            now, count = self._reach(trial, wanted, drag)
+            counts.append(count)
+            rest = self.loaded.balance(now.state)
+            if met(rest, final):
+                return rest, counts
+            left.append(rest.distance)
+            if nearest is None or rest.distance < nearest.distance:
+                nearest = rest
+            if nearly_met(nearest, final) and stagnates(left, _FLICKERS):
+                return nearest, counts
+            tenth = self._tenth(rest.force_error)
+            wanted = replace(wanted, force=tenth.force, volume=tenth.volume)
+            bound.follow(self.loaded.contact_forces(now.state))
+            drag = replace(drag, bound=bound.forces)
+            trial = now.state
+        raise NotConverged("friction and contact forces do not settle")
 
     def _creep(
         self,
@@ -525,7 +587,7 @@ class Path(Generic[AnyState]):
         """Go on against drag: to a load and rest, or to next to no drag before that.
 
         Friction is bounded by given contact forces (``Drag``), on the way by those at the same load
-        (``_lagged``); once the load is reached, its bound follows them by ``relaxation``: great
+        (``_lagged``); once the load is reached, its bound follows them from step to step: great
         friction at free edges would swing with them. When they no longer change, and nothing moves,
         the state is one of equilibrium as it stands; where they change for ever, it may nearly be
         one. Newton's method, with friction bounded by what is sought, is tried again whenever a
@@ -535,16 +597,16 @@ class Path(Generic[AnyState]):
         loaded = self.loaded
         viscosity, wanted, near = _VISCOSITY, self.intermediate, np.inf
         held, left = 0, np.inf
-        bound, change = loaded.contact_forces(self.state), None
-        part = _RELAXATION[0]
+        bound = Bound(loaded.contact_forces(self.state), _AGAINST_DRAG)
         while True:
             load = min(end, self.state.load + step)
-            drag = Drag(viscosity * loaded.stiffness, self.state, bound)
+            drag = Drag(viscosity * loaded.stiffness, self.state, bound.forces)
             trial = self.state.at_load(load)
             try:
                 if moves and load > self.state.load:
                     now, counts, drag = self._lagged(trial, wanted, drag)
-                    viscosity, bound = drag.viscosity / loaded.stiffness, drag.bound
+                    viscosity = drag.viscosity / loaded.stiffness
+                    bound.forces = drag.bound
                 else:
                     now, count = self._reach(trial, wanted, drag)
                     counts = [count]
@@ -566,22 +628,19 @@ class Path(Generic[AnyState]):
                 step = min(self.control.largest, 1.5 * step)
                 viscosity = max(_LEAST, (0.5 if load < end else 0.25) * viscosity)
             if load < end:
-                bound = forces
+                bound.forces = forces
                 if share < _REST[1] and not stay:
                     return
                 continue
-            last, change = change, _less(forces, bound)
-            if last is not None:
-                part = relaxation(part, last, change)
-                if passed:  # slip by too low a bound would be remembered
-                    part = min(part, 1.0)
-            bound = _followed(bound, change, part)
+            # slip by too low a bound would be remembered
+            bound.follow(forces, 1.0 if passed else _RELAXATION[1])
             rest = loaded.balance(self.state)
             if met(rest, self.resting or self.tolerances):
                 return
             wanted = self._tenth(rest.force_error)
             held += 1
-            at_rest = share < _STILL or rest.distance < NEARLY[0]
+            closed = nearly_met(rest, replace(self.tolerances, nearly=np.inf))
+            at_rest = closed and (share < _STILL or rest.distance < NEARLY[0])
             left = rest.force_error if at_rest else np.inf
             if held > _HELD:
                 if left < NEARLY[2]:
@@ -634,10 +693,11 @@ class Path(Generic[AnyState]):
 
         if self.enough and self.enough():
             raise self._stopped(TOO_LONG)
+        wanted = replace(wanted, nearly=nearly)
         try:
-            return self.loaded.equilibrate(trial, replace(wanted, nearly=nearly), count, drag)
+            return self.loaded.equilibrate(trial, wanted, count, drag)
         except NotConverged as failure:
-            if failure.nearest and failure.nearest[0].distance < nearly:
+            if failure.nearest and nearly_met(failure.nearest[0], wanted):
                 return failure.nearest
             raise
 
@@ -670,27 +730,8 @@ class Path(Generic[AnyState]):
         return together > 0.5 * float(np.sqrt((step**2 * weights).sum()))
 
 
-def relaxation(part: float, last: Sequence[Array], change: Sequence[Array]) -> float:
-    """Which part of its change the bound of friction follows (Aitken's method).
-
-    ``change`` is what remains of ``last`` after the bound has followed ``part`` of that. A change
-    that grows leads away from an equilibrium that is not stable, and is followed as far as may be.
-    """
-    turn = [now - then for now, then in zip(change, last, strict=True)]
-    along = sum(float((then * by).sum()) for then, by in zip(last, turn, strict=True))
-    _, least, most = _RELAXATION
-    if along >= 0.0:
-        return most
-    return float(np.clip(-part * along / _norm(turn) ** 2, least, most))
-
-
 def _less(forces: Sequence[Array], others: Sequence[Array]) -> list[Array]:
     return [one - other for one, other in zip(forces, others, strict=True)]
-
-
-def _followed(bound: Sequence[Array], change: Sequence[Array], part: float) -> list[Array]:
-    """Bound of friction after a part of a change of the contact forces, mN."""
-    return [np.maximum(then + part * by, 0.0) for then, by in zip(bound, change, strict=True)]
 
 
 def _norm(forces: Sequence[Array]) -> float:
