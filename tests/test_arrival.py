@@ -359,6 +359,15 @@ def test_what_leaves_an_unstable_equilibrium_is_let_go():
     assert bound.part == 1.0
 
 
+def test_glue_that_is_pulled_bounds_no_friction():
+    """Else bound and forces would never agree, and no load would be reached in this way."""
+    bound = path.Bound([np.array([1.0, 0.0])])
+    pulled = [np.array([1.0, -2.0])]
+    assert bound.apart(pulled) == 0.0
+    bound.follow(pulled)
+    assert_allclose(bound.forces, [[1.0, 0.0]])
+
+
 @pytest.mark.slow
 def test_a_thin_layer_that_sticks_arrives():
     """A layer 18 thicknesses wide, pressed by 45 % at friction 0.95 and 0.56, between rollers.

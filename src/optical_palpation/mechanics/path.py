@@ -135,8 +135,8 @@ class Bound:
     _change: Sequence[Array] | None = field(default=None, init=False)
 
     def apart(self, found: Sequence[Array]) -> float:
-        """How far what was found is from them, as a 2-norm, mN."""
-        return _norm(_less(found, self.forces))
+        """How far what was found is from them, as a 2-norm, mN; glue that is pulled bounds none."""
+        return _norm(_less(_pressing(found), self.forces))
 
     def follow(self, found: Sequence[Array], most: float = _RELAXATION[1]) -> None:
         """Follow what was found, by at most so many times the change.
@@ -144,16 +144,14 @@ class Bound:
         A change that grows leads away from an equilibrium that is not stable, and is followed as
         far as may be.
         """
-        last, self._change = self._change, _less(found, self.forces)
+        last, self._change = self._change, _less(_pressing(found), self.forces)
         if last is not None:
             turn = _less(self._change, last)
             along = sum(float((then * by).sum()) for then, by in zip(last, turn, strict=True))
             ahead = np.inf if along >= 0.0 else -self.part * along / _norm(turn) ** 2
             self.part = float(np.clip(ahead, _RELAXATION[0], most))
-        self.forces = [
-            np.maximum(then + self.part * by, 0.0)
-            for then, by in zip(self.forces, self._change, strict=True)
-        ]
+        pairs = zip(self.forces, self._change, strict=True)
+        self.forces = _pressing([then + self.part * by for then, by in pairs])
 
 
 class Reached(Iterate, Protocol[Given]):
@@ -474,8 +472,7 @@ class Path(Generic[AnyState]):
             return now, [count]
 
         def lagged() -> tuple[Reached[AnyState], list[int]]:
-            bound = [np.maximum(force, 0.0) for force in self.loaded.contact_forces(trial)]
-            drag = Drag(0.0, self.state, bound)
+            drag = Drag(0.0, self.state, _pressing(self.loaded.contact_forces(trial)))
             loose = replace(self.intermediate, patience=_PATIENCE, krylov=_KRYLOV)
             if exact:
                 return self._lagged_at_last(trial, loose, drag, replace(wanted, nearly=nearly))
@@ -728,6 +725,10 @@ class Path(Generic[AnyState]):
         step, weights = (at - before)[:2], self.loaded.volumes / self.loaded.volumes.sum()
         together = float(np.linalg.norm((step * weights).sum(1)))
         return together > 0.5 * float(np.sqrt((step**2 * weights).sum()))
+
+
+def _pressing(forces: Sequence[Array]) -> list[Array]:
+    return [np.maximum(force, 0.0) for force in forces]
 
 
 def _less(forces: Sequence[Array], others: Sequence[Array]) -> list[Array]:
