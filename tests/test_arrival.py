@@ -221,6 +221,7 @@ def test_what_flickers_next_to_equilibrium_is_taken_as_it_is():
     way = path.Path(loaded, TOLERANCES, TOLERANCES, Touched())
     way.follow(Touched(1.0))
     assert way.state.load == 1.0
+    assert way.record[-1][1] == 9 * 5  # as many solutions as tell that they come no nearer
     assert loaded.drags == 0
     for far in (2.0 * path.NEARLY[0], 0.0), (0.5 * path.NEARLY[0], 20.0 * TOLERANCES.volume):
         loaded = Flickers(*far)

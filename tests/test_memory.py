@@ -248,6 +248,9 @@ def test_threads_are_those_the_process_may_use_and_libraries_take_one(monkeypatc
     assert (nb.get_num_threads(), blas_threads()) == before
     with threads.limited_threads(10_000) as number:
         assert number == threads.available_threads()
+    with pytest.raises(ZeroDivisionError), threads.limited_threads(1):
+        raise ZeroDivisionError
+    assert (nb.get_num_threads(), blas_threads()) == before
 
 
 def test_a_computation_uses_the_threads_it_is_given():

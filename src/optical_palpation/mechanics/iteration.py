@@ -220,12 +220,17 @@ def met(now: Iterate, tolerances: Tolerances) -> bool:
 
 
 def nearly_met(now: Iterate, tolerances: Tolerances) -> bool:
-    """Whether an iterate will do where no other is one of equilibrium.
+    """Whether an iterate will do where no other is one of equilibrium."""
+    return now.distance < tolerances.nearly and volume_nearly_met(now, tolerances)
 
-    Pressures hang on the volume: of a layer between rollers that nothing lets out, 4e-4 too little
-    of it was four times the force.
+
+def volume_nearly_met(now: Iterate, tolerances: Tolerances) -> bool:
+    """Whether the volume of an iterate is near enough for that.
+
+    Pressures hang on it: of a layer between rollers that nothing lets out, 4e-4 too little of it
+    was four times the force.
     """
-    return now.distance < tolerances.nearly and now.volume_error < 10.0 * tolerances.volume
+    return now.volume_error < 10.0 * tolerances.volume
 
 
 def stagnates(left: Sequence[float], patience: int) -> bool:

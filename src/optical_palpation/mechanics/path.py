@@ -27,6 +27,7 @@ from .iteration import (
     nearly_met,
     relaxed,
     stagnates,
+    volume_nearly_met,
 )
 
 Array = NDArray[np.float64]
@@ -636,9 +637,9 @@ class Path(Generic[AnyState]):
                 return
             wanted = self._tenth(rest.force_error)
             held += 1
-            closed = nearly_met(rest, replace(self.tolerances, nearly=np.inf))
-            at_rest = closed and (share < _STILL or rest.distance < NEARLY[0])
-            left = rest.force_error if at_rest else np.inf
+            at_rest = share < _STILL or rest.distance < NEARLY[0]
+            will_do = at_rest and volume_nearly_met(rest, self.tolerances)
+            left = rest.force_error if will_do else np.inf
             if held > _HELD:
                 if left < NEARLY[2]:
                     return
