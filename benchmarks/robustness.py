@@ -8,8 +8,9 @@ A map is rough, stepped, wavy, tilted, flat or bumpy, or shows a sphere, needles
 of punches; it may have holes that the sample does not reach, and presses the layer by up to half of
 its thickness, a sphere up to 60 %. The layer is 0.1 to 2 mm thick and from a few thicknesses to 50
 wide, up to four times as long as wide, unloaded flat or not. Friction is 0 to 1 on either face,
-K/mu 20 to 1e5, edges free, padded or rollers, elements 8,000 at most. Each map follows from its
-number alone.
+K/mu 20 to 1e5, edges free, padded or rollers, elements 8,000 at most. The law is the paper's
+silicone in two of five, else another one of Mooney-Rivlin, neo-Hookean or Yeoh. Each map follows
+from its number alone.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ import xarray as xr
 from scipy.ndimage import gaussian_filter
 
 from optical_palpation.errors import ConvergenceError
-from optical_palpation.material import MooneyRivlin
+from optical_palpation.material import Law, MooneyRivlin, NeoHookean, Yeoh
 from optical_palpation.palpation import (
     InputErrors,
     Progress,
@@ -86,6 +87,25 @@ class Case:
         axes = layer_nodes(extent, self.thickness, self.element_size, self.edges)
         return int(np.prod([len(nodes) - 1 for nodes in axes]))
 
+    def law(self) -> Law:
+        """The law of the layer."""
+        rng = np.random.default_rng([self.number, 2])
+        kind = rng.choice(
+            ["silicone", "mooney-rivlin", "neo-hookean", "yeoh"], p=[0.4, 0.2, 0.2, 0.2]
+        )
+        modulus = 100 ** rng.random()
+        ratio = self.bulk_to_shear
+        if kind == "silicone":
+            return MooneyRivlin(2.23, 0.703, ratio)
+        if kind == "mooney-rivlin":
+            share = rng.uniform(0, 0.5)
+            return MooneyRivlin((1 - share) * modulus, share * modulus, ratio)
+        if kind == "neo-hookean":
+            return NeoHookean(modulus, ratio)
+        # softens first at most as far as it stays stable at any stretch: c20^2 < 3 c10 c30
+        c20, c30 = rng.uniform(-0.05, 0.3) * modulus, rng.uniform(0.005, 0.1) * modulus
+        return Yeoh(modulus, c20, c30, ratio)
+
     def maps(self) -> tuple[xr.DataArray, xr.DataArray]:
         """Loaded and unloaded thickness, mm."""
         rng = np.random.default_rng([self.number, 1])
@@ -111,7 +131,7 @@ class Case:
     def solve(self, solver: str = "auto", progress=None) -> StressResult:
         return computational_stress(
             *self.maps(),
-            MooneyRivlin(2.23, 0.703, self.bulk_to_shear),
+            self.law(),
             window_friction=self.window_friction,
             sample_friction=self.sample_friction,
             element_size=self.element_size,
@@ -311,6 +331,7 @@ def tables(outcomes: list[Outcome]) -> str:
             if (friction := max(c.window_friction, c.sample_friction)) > 0
             else "none: may slide"
         ),
+        "law": lambda c: c.law().name,
         "K/mu": lambda c: _bin(c.bulk_to_shear, (100, 1000, 10000)),
         "unloaded layer": lambda c: "uneven" if c.uneven else "flat",
     }
