@@ -66,12 +66,13 @@ _FAR = 0.1
 #: friction, but much that has turned round costs iterations.
 _FAR_BEFORE = 0.07
 #: Newton iterations in which the load must be followed on the finest grid, where that takes
-#: seconds. Hard layers come nearer all the time and want many; on coarse grids more gain little.
+#: seconds, and on coarser ones without narrow elements. Hard layers come nearer all the time and
+#: want many; with narrow edges more of them gain little on coarse grids.
 _ITERATIONS = 1000
 #: Effort, s, after which the load of a layer of so many elements is followed no further, in
-#: proportion on more; the share of it after which coarse free edges are tried; and how much more
-#: than that a loaded layer may take to come to rest.
-_PATIENCE, _PATIENT, _NARROW, _AT_LAST = 50.0, 8000, 0.3, 1.15
+#: proportion on more; the share of it after which coarse free edges are tried; how much more
+#: than that a loaded layer may take to come to rest, and how much more if all else has failed.
+_PATIENCE, _PATIENT, _NARROW, _AT_LAST, _LATE = 50.0, 8000, 0.3, 1.15, 1.4
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.
@@ -321,7 +322,12 @@ def solve(
             guided,
             effort,
         )
-        solution = nested.solved(levels)
+        try:
+            solution = nested.solved(levels)
+        except OnlyOnCoarser:
+            raise
+        except LoadNotReached as failure:
+            raise nested.on_elements_twice_as_wide(failure) from None
     if similar is not None:
         similar.become(nested.own)
     return solution
@@ -332,9 +338,10 @@ class _Nested:
     """The nested iteration of one problem; for its arguments see ``solve``.
 
     ``effort`` is what was spent; ``narrows`` says whether this makes the free edges of another
-    solution narrower. ``path`` is the last load path that was followed, from the first of its
-    states on, and the problem on its grid; ``failure`` is why the layer does not arrive with coarse
-    edges.
+    solution narrower, ``late`` whether all else has failed. ``path`` is the last load path that was
+    followed, from the first of its states on, and the problem on its grid; ``failure`` is the one
+    that came farthest, on whatever elements, ``instead`` a solution on others than those of the
+    problem.
     """
 
     problem: LayerProblem
@@ -348,9 +355,11 @@ class _Nested:
     guided: bool
     effort: Effort
     narrows: bool = False
+    late: bool = False
     record: list[tuple[int, float, int]] = field(default_factory=list, init=False)
     path: tuple[LayerProblem, list[LayerState]] | None = field(default=None, init=False)
     failure: LoadNotReached | None = field(default=None, init=False)
+    instead: Solution | None = field(default=None, init=False)
     own: Similar = field(default_factory=Similar, init=False)
 
     def __post_init__(self) -> None:
@@ -373,18 +382,17 @@ class _Nested:
             try:
                 state = state or self._loaded(level, carried)
             except LoadNotReached as failure:
+                self._remember(failure)
                 if self._may_widen and failure.reason != SLIDES:
                     solution = self._by_wider_edges()
                     self._may_widen = False
                     if solution is not None:
                         return solution
-                    if self._enough(level):  # finer grids would be given up at once
-                        raise self._failed(failure, levels, found) from None
                 if carried:
                     state = self._settled(level, carried)
-                # what a coarse grid cannot bear a finer one may
-                if state is None and level is self.problem:
-                    raise self._failed(failure, levels, found) from None
+                # what a coarse grid cannot bear a finer one may, if there is time
+                if state is None and (level is self.problem or self._enough(level)):
+                    raise self._failed(levels, found) from None
             if state is not None:
                 found.append((n, state))
         return self._solution(levels, found)
@@ -411,7 +419,7 @@ class _Nested:
         try:
             solution = nested.solved(grids(coarse))
         except LoadNotReached as failure:
-            self.failure = failure
+            self._remember(failure)
             return None
         widths = _edge_widths(self.problem)
         for width in widths:
@@ -433,6 +441,25 @@ class _Nested:
             )
         return solution
 
+    def on_elements_twice_as_wide(self, failure: LoadNotReached) -> LoadNotReached:
+        """A failure on all grids, with what there is on elements twice as wide, if there is any.
+
+        Their free edges are as coarse as all else: narrow ones are what fails first.
+        """
+        wide = halved(with_edges(self.problem, None), np.array([False, True, True]))
+        fewer = wide.grid.n_elements <= _FEWER * self.problem.grid.n_elements
+        if failure.reason == SLIDES or not fewer:
+            return failure
+        nested = replace(self, problem=wide, neighbours=None, similar=None, guided=False, late=True)
+        nested._longest = self._longest
+        try:
+            solution = nested.solved(grids(wide))
+        except OnlyOnCoarser as other:
+            solution = other.solution
+        except LoadNotReached:
+            return failure
+        return OnlyOnCoarser(failure, solution)
+
     def _solution(
         self, levels: list[LayerProblem], found: list[tuple[int, LayerState]]
     ) -> Solution:
@@ -443,18 +470,22 @@ class _Nested:
             coarser = levels[number + 1], found[-2][1]
         return Solution(levels[number], state, self.record, coarser, self.tolerances, self.guided)
 
+    def _remember(self, failure: LoadNotReached) -> None:
+        """Keep the failure that came farthest, and what there is instead."""
+        if isinstance(failure, OnlyOnCoarser):
+            self.instead = failure.solution
+        if self.failure is None or failure.load >= self.failure.load:
+            self.failure = failure
+
     def _failed(
-        self,
-        failure: LoadNotReached,
-        levels: list[LayerProblem],
-        found: list[tuple[int, LayerState]],
+        self, levels: list[LayerProblem], found: list[tuple[int, LayerState]]
     ) -> LoadNotReached:
         """The failure that came farthest, with what there is instead."""
-        instead = self._instead(levels, found)
-        if instead is None and isinstance(self.failure, OnlyOnCoarser):
-            instead = self.failure.solution
-        farthest = max(failure, self.failure or failure, key=lambda one: one.load)
-        return farthest if instead is None else OnlyOnCoarser(farthest, instead)
+        assert self.failure is not None  # one was remembered
+        instead = self._instead(levels, found) or self.instead
+        if instead is None:
+            return self.failure
+        return OnlyOnCoarser(self.failure, instead)
 
     def _instead(
         self, levels: list[LayerProblem], found: list[tuple[int, LayerState]]
@@ -464,7 +495,7 @@ class _Nested:
             number, nearly = found[last]
             level = levels[number]
             nearest, reached = self._balanced(level, nearly, self.tolerances)
-            state = nearest if reached else self._settled(level, nearly, self.tolerances)
+            state = nearest if reached else self._settled(level, nearly, self.tolerances, _LATE)
             if state is not None and balance(level, state).force_error < NEARLY[1]:
                 return self._solution(levels, [*found[:last], (number, state)])
         return None
@@ -547,7 +578,8 @@ class _Nested:
         visited: list[LayerState] = []
         kept = self.similar is not None and whole  # guides the next layer
         quick = level.grid.n_elements <= FINE
-        guides = kept or level is not self.problem or quick
+        finest = level is self.problem
+        guides = kept or not finest or quick
         path = Path(
             LoadedLayer(level, self._solvers(level), CARRIED if self.guided else SLOW),
             self._wanted(level),
@@ -559,7 +591,7 @@ class _Nested:
             guide=guide,
             similar=self.similar.guide(level) if self.similar and whole else None,
             visited=visited if guides else None,
-            allowed=_ITERATIONS if level is self.problem and quick else FOLLOWED,
+            allowed=_ITERATIONS if quick and (finest or not self._may_widen) else FOLLOWED,
             snaps=SNAPS if self._soon(level) else None,
             enough=partial(self._enough, level),
         )
@@ -601,7 +633,11 @@ class _Nested:
         return now.state, True
 
     def _settled(
-        self, level: LayerProblem, state: LayerState, wanted: Tolerances | None = None
+        self,
+        level: LayerProblem,
+        state: LayerState,
+        wanted: Tolerances | None = None,
+        more: float = _AT_LAST,
     ) -> LayerState | None:
         """Let a loaded layer come to rest, as near to equilibrium as ``wanted``; None where not."""
         path = Path(
@@ -612,7 +648,7 @@ class _Nested:
             self.control,
             partial(self.on_iteration, level) if self.on_iteration else None,
             resting=wanted or self._rest(level),
-            enough=partial(self._enough, level, _AT_LAST),
+            enough=partial(self._enough, level, more),
         )
         try:
             path.settle()
@@ -628,7 +664,7 @@ class _Nested:
     def _enough(self, level: LayerProblem, more: float = 1.0) -> bool:
         """Whether what a path may take, or ``more`` than that, has been spent."""
         share = _NARROW if self._soon(level) and not self.narrows else 1.0
-        return self.effort.spent > share * more * self._longest
+        return self.effort.spent > max(share * more, _LATE * self.late) * self._longest
 
     def _wanted(self, level: LayerProblem) -> Tolerances:
         return self.tolerances if level is self.problem else self._coarser
