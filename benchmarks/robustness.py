@@ -3,6 +3,7 @@
     python benchmarks/robustness.py                       200 maps, counts by class
     python benchmarks/robustness.py --json failures.json  the same; what did not converge to a file
     python benchmarks/robustness.py --replay 17           one of them, with its progress
+    python benchmarks/robustness.py --increment 0.05      does the force depend on the increments?
 
 A map is rough, stepped, wavy, tilted, flat or bumpy, or shows a sphere, needles or a checkerboard
 of punches; it may have holes that the sample does not reach, and presses the layer by up to half of
@@ -26,6 +27,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import xarray as xr
@@ -33,6 +35,8 @@ from scipy.ndimage import gaussian_filter
 
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.material import Law, MooneyRivlin, NeoHookean, Yeoh
+from optical_palpation.mechanics import cascade
+from optical_palpation.mechanics.path import StepControl
 from optical_palpation.palpation import (
     InputErrors,
     Progress,
@@ -286,6 +290,50 @@ def attempt(case: Case, solver: str = "auto", limit: int = 120, progress=None) -
     return Outcome(case, kind, time.process_time() - start, newton, text)
 
 
+def change_by_increments(case: Case, increment: float, limit: int) -> Outcome:
+    """How the force in the usual increments differs from that in small ones, in %, as ``text``.
+
+    The error of the mesh stands beside it. Small increments may take four times as long.
+    """
+    control = StepControl(min(StepControl.first, increment), increment)
+    results = list[StressResult]()
+
+    class Kept(Case):
+        def solve(self, *given) -> StressResult:
+            results.append(super().solve(*given))
+            return results[-1]
+
+    outcome = attempt(Kept(**asdict(case)), limit=limit)
+    if outcome.kind != "converged":
+        return replace(outcome, case=case)
+    with (
+        mock.patch.object(cascade, "StepControl", return_value=control),
+        mock.patch.object(cascade, "_PATIENCE", 4 * cascade._PATIENCE),
+    ):
+        small = attempt(Kept(**asdict(case)), limit=4 * limit)
+    if small.kind != "converged":
+        return replace(small, case=case, kind=f"{small.kind} in small increments")
+    usual, force = (result.maps.attrs["sample_force_mN"] for result in results)
+    error = results[0].maps.attrs.get("force_mesh_error_mN", np.nan)
+    text = f"{100 * (usual / force - 1):+.3f} % of the force, error of the mesh {error / usual:.2%}"
+    return replace(outcome, case=case, text=text)
+
+
+def increments(cases: list[Case], increment: float, limit: int, jobs: int) -> None:
+    """Print how much of the force depends on the increments, map by map."""
+    changes = []
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        count = len(cases)
+        for o in pool.map(change_by_increments, cases, [increment] * count, [limit] * count):
+            print(f"map {o.case.number}: {o.kind}, {o.text}", flush=True)
+            if o.kind == "converged":
+                changes.append(abs(float(o.text.split()[0])))
+    shares = ", ".join(f"{q} %: {np.percentile(changes, q):.3f}" for q in (50, 75, 95, 100))
+    print(
+        f"{len(changes)} maps: the force differs by ({shares}) % in increments of {increment:.0%}"
+    )
+
+
 def _ended(result: StressResult) -> str:
     """What a result is called in the tables."""
     attrs = result.maps.attrs
@@ -365,6 +413,7 @@ def main() -> None:
     parser.add_argument("--limit", type=int, default=120, help="seconds of processor time per map")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--solver", default="auto", choices=["auto", "multigrid", "direct"])
+    parser.add_argument("--increment", type=float, help="of the load, in a second solution")
     parser.add_argument("--json", type=Path, help="file for the maps that did not converge")
     parser.add_argument("--replay", type=int, help="solve this map alone, in sight")
     arguments = parser.parse_args()
@@ -378,9 +427,12 @@ def main() -> None:
         sys.exit(not outcome.allowed)
     attempt(replace(random_case(0), compression=0.01))  # compiles, once for all
     cases = [random_case(arguments.first + n) for n in range(arguments.maps)]
-    outcomes = []
     # one thread each, the libraries' own included, or the maps would stand in each other's way
     os.environ |= {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    if arguments.increment:
+        increments(cases, arguments.increment, arguments.limit, arguments.jobs)
+        return
+    outcomes = []
     with ProcessPoolExecutor(arguments.jobs, mp_context=get_context("spawn")) as pool:
         futures = [pool.submit(attempt, c, arguments.solver, arguments.limit) for c in cases]
         for future in futures:

@@ -1,12 +1,13 @@
 """The paper's virtual experiments (figures 3, 5): time, published thickness, recovered stress.
 
 python benchmarks/virtual_experiment.py [SCENE ...] [--threads N] [--element-size MM]
-python benchmarks/virtual_experiment.py --random 40
+python benchmarks/virtual_experiment.py --random 40 [--increment 0.1]
 
 The second computes random scenes and tells how many arrive at the full compression: bodies of
 equal and other sizes, samples a tenth to ten times as stiff as the layer, with inclusions that are
 as much softer or stiffer again, reliefs, friction 0 to 0.5, and the softer body compressed by 10 to
-35 %.
+35 %. With ``--increment`` each that arrives is loaded again in increments of at most so much of its
+load, and how the force of the usual ones differs is told.
 
 The published loaded thickness of the sinusoid is read from ../shared/data if it is there. The
 stress is recovered on elements 0.8 times as large as those of the experiment: on an imprint that is
@@ -18,6 +19,7 @@ of noise per pixel of the thickness.
 import argparse
 import time
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import xarray as xr
@@ -36,6 +38,7 @@ from optical_palpation.experiment.recovery import (
     spreading_sample,
 )
 from optical_palpation.experiment.scene import with_element_size
+from optical_palpation.mechanics.path import StepControl
 from optical_palpation.present.experiment import write_experiment, write_experiment_figure
 
 PUBLISHED = Path(__file__).parents[1] / "../shared/data/layers/sinusoid_simulated_L1.npz"
@@ -125,9 +128,16 @@ def random_scene(seed: int) -> Scene:
     )
 
 
-def arrivals(count: int, threads: int | None) -> None:
+def in_increments(scene: Scene, threads: int | None, increment: float) -> float:
+    """Force at the window of a scene that is loaded in small increments, mN."""
+    control = StepControl(first=min(StepControl.first, increment), largest=increment)
+    with mock.patch("optical_palpation.mechanics.stack.cascade._CONTROL", control):
+        return run_experiment(scene, threads=threads).maps.attrs["window_force_mN"]
+
+
+def arrivals(count: int, threads: int | None, increment: float | None = None) -> None:
     """Compute random scenes and print how each went."""
-    arrived = 0
+    arrived, changes = 0, list[float]()
     for seed in range(count):
         scene = random_scene(seed)
         start, used = time.perf_counter(), time.process_time()
@@ -141,11 +151,18 @@ def arrivals(count: int, threads: int | None) -> None:
                 f"{sum(attrs['elements']):5} elements, {attrs['window_force_mN']:8.2f} mN, "
                 f"balance {attrs['force_balance']:.0e}, {attrs['newton_iterations']} iterations"
             )
+            if increment:
+                small = in_increments(scene, threads, increment)
+                changes.append(100 * abs(attrs["window_force_mN"] / small - 1))
+                result += f", {changes[-1]:.2f} % from small increments"
         seconds = (
             f"{time.perf_counter() - start:.1f} s, {time.process_time() - used:.1f} s of cores"
         )
         print(f"{seed:3}: {result}, {seconds}", flush=True)
     print(f"{arrived} of {count} arrive")
+    if changes:
+        median, most = np.median(changes), max(changes)
+        print(f"In increments of {increment:.0%}: {median:.2f} % of the force, {most:.2f} at most")
 
 
 def main() -> None:
@@ -156,9 +173,10 @@ def main() -> None:
     parser.add_argument("--element-size", type=float)
     parser.add_argument("--output", type=Path, help="folder for results and figures")
     parser.add_argument("--random", type=int, help="compute so many random scenes instead")
+    parser.add_argument("--increment", type=float, help="of the load, for random scenes")
     options = parser.parse_args()
     if options.random:
-        arrivals(options.random, options.threads)
+        arrivals(options.random, options.threads, options.increment)
         return
     for name in options.scenes:
         scene = read_scene(name)
