@@ -5,7 +5,7 @@ import pytest
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.mechanics import cascade
 from optical_palpation.mechanics.effort import counted, spend
-from optical_palpation.mechanics.path import SLIDES, TOO_LONG, LoadNotReached
+from optical_palpation.mechanics.path import TOO_LONG, LoadNotReached
 from optical_palpation.palpation import computational_stress
 from tilted_case import GIVEN, SILICONE, bound, problem, tilted
 
@@ -125,44 +125,6 @@ def test_what_there_is_on_coarser_elements_with_coarse_edges_is_better_than_noth
     assert solution.state.load == 1.0
     assert not cascade._narrow_edges(solution.problem)
     assert solution.problem.grid.n_elements < fine.grid.n_elements / 2
-
-
-def stops_on(monkeypatch, small, failure):
-    """Let every load fail on grids of more elements than ``small`` or with narrow edges."""
-    loaded = cascade._Nested._loaded
-
-    def stop(nested, level, carried):
-        if cascade._narrow_edges(level) or level.grid.n_elements > small:
-            raise failure
-        return loaded(nested, level, carried)
-
-    monkeypatch.setattr(cascade._Nested, "_loaded", stop)
-
-
-def test_what_fails_on_all_grids_is_solved_on_elements_twice_as_wide(monkeypatch):
-    layer = problem(size=0.125)
-    fine = cascade.with_edges(layer, None).grid
-    stops_on(monkeypatch, fine.n_elements / 2, LoadNotReached(0.7, "the rim snaps"))
-    with pytest.raises(cascade.OnlyOnCoarser, match="the rim snaps") as stopped:
-        solved(layer)
-    assert not stopped.value.at_edges
-    assert stopped.value.load == 0.7
-    solution = stopped.value.solution
-    grid = solution.problem.grid
-    assert solution.state.load == 1.0
-    assert grid.shape == (fine.shape[0], fine.shape[1] // 2, fine.shape[2] // 2)
-    monkeypatch.setattr(cascade, "_FEWER", 0.1)  # not worth while
-    with pytest.raises(LoadNotReached) as stopped:
-        solved(layer)
-    assert not isinstance(stopped.value, cascade.OnlyOnCoarser)
-
-
-def test_what_slides_is_not_solved_on_wider_elements(monkeypatch):
-    layer = problem(size=0.125)
-    stops_on(monkeypatch, layer.grid.n_elements / 2, LoadNotReached(1.0, SLIDES))
-    with pytest.raises(LoadNotReached, match=SLIDES) as stopped:
-        solved(layer)
-    assert not isinstance(stopped.value, cascade.OnlyOnCoarser)
 
 
 def test_a_coarse_grid_that_took_all_the_time_says_how_far_it_came(monkeypatch):

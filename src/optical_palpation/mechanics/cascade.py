@@ -71,7 +71,7 @@ _FAR_BEFORE = 0.07
 _ITERATIONS = 1000
 #: Effort, s, after which the load of a layer of so many elements is followed no further, in
 #: proportion on more; the share of it after which coarse free edges are tried; how much more
-#: than that a loaded layer may take to come to rest, and how much more if all else has failed.
+#: than that a loaded layer may take to come to rest, and one on a coarser grid if all else failed.
 _PATIENCE, _PATIENT, _NARROW, _AT_LAST, _LATE = 50.0, 8000, 0.3, 1.15, 1.4
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
@@ -322,12 +322,7 @@ def solve(
             guided,
             effort,
         )
-        try:
-            solution = nested.solved(levels)
-        except OnlyOnCoarser:
-            raise
-        except LoadNotReached as failure:
-            raise nested.on_elements_twice_as_wide(failure) from None
+        solution = nested.solved(levels)
     if similar is not None:
         similar.become(nested.own)
     return solution
@@ -338,10 +333,9 @@ class _Nested:
     """The nested iteration of one problem; for its arguments see ``solve``.
 
     ``effort`` is what was spent; ``narrows`` says whether this makes the free edges of another
-    solution narrower, ``late`` whether all else has failed. ``path`` is the last load path that was
-    followed, from the first of its states on, and the problem on its grid; ``failure`` is the one
-    that came farthest, on whatever elements, ``instead`` a solution on others than those of the
-    problem.
+    solution narrower. ``path`` is the last load path that was followed, from the first of its
+    states on, and the problem on its grid; ``failure`` is the one that came farthest, on whatever
+    elements, ``instead`` a solution on others than those of the problem.
     """
 
     problem: LayerProblem
@@ -355,7 +349,6 @@ class _Nested:
     guided: bool
     effort: Effort
     narrows: bool = False
-    late: bool = False
     record: list[tuple[int, float, int]] = field(default_factory=list, init=False)
     path: tuple[LayerProblem, list[LayerState]] | None = field(default=None, init=False)
     failure: LoadNotReached | None = field(default=None, init=False)
@@ -440,25 +433,6 @@ class _Nested:
                 wider=solution,
             )
         return solution
-
-    def on_elements_twice_as_wide(self, failure: LoadNotReached) -> LoadNotReached:
-        """A failure on all grids, with what there is on elements twice as wide, if there is any.
-
-        Their free edges are as coarse as all else: narrow ones are what fails first.
-        """
-        wide = halved(with_edges(self.problem, None), np.array([False, True, True]))
-        fewer = wide.grid.n_elements <= _FEWER * self.problem.grid.n_elements
-        if failure.reason == SLIDES or not fewer:
-            return failure
-        nested = replace(self, problem=wide, neighbours=None, similar=None, guided=False, late=True)
-        nested._longest = self._longest
-        try:
-            solution = nested.solved(grids(wide))
-        except OnlyOnCoarser as other:
-            solution = other.solution
-        except LoadNotReached:
-            return failure
-        return OnlyOnCoarser(failure, solution)
 
     def _solution(
         self, levels: list[LayerProblem], found: list[tuple[int, LayerState]]
@@ -664,7 +638,7 @@ class _Nested:
     def _enough(self, level: LayerProblem, more: float = 1.0) -> bool:
         """Whether what a path may take, or ``more`` than that, has been spent."""
         share = _NARROW if self._soon(level) and not self.narrows else 1.0
-        return self.effort.spent > max(share * more, _LATE * self.late) * self._longest
+        return self.effort.spent > share * more * self._longest
 
     def _wanted(self, level: LayerProblem) -> Tolerances:
         return self.tolerances if level is self.problem else self._coarser
