@@ -25,6 +25,7 @@ import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from unittest import mock
@@ -247,6 +248,9 @@ class Outcome:
     seconds: float
     newton: int = 0
     text: str = ""
+    #: At the sample, mN, and what the mesh may be off by, if there is a result.
+    force: float | None = None
+    mesh_error: float | None = None
 
     @property
     def allowed(self) -> bool:
@@ -263,7 +267,7 @@ def attempt(case: Case, solver: str = "auto", limit: int = 120, progress=None) -
     def out_of_time(*_: object) -> None:
         raise TimeLimit
 
-    newton = 0
+    newton, attrs = 0, dict[str, float]()
 
     def count(report: Progress) -> None:
         nonlocal newton
@@ -277,6 +281,7 @@ def attempt(case: Case, solver: str = "auto", limit: int = 120, progress=None) -
     start = time.process_time()
     try:
         result = case.solve(solver, count)
+        attrs = result.maps.attrs
         text = "; ".join(faults(result))
         kind = "wrong result" if text else _ended(result)
     except TimeLimit:
@@ -287,51 +292,43 @@ def attempt(case: Case, solver: str = "auto", limit: int = 120, progress=None) -
         kind, text = type(error).__name__, str(error)
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
-    return Outcome(case, kind, time.process_time() - start, newton, text)
+    seconds = time.process_time() - start
+    forces = attrs.get("sample_force_mN"), attrs.get("force_mesh_error_mN")
+    return Outcome(case, kind, seconds, newton, text, *forces)
 
 
-def change_by_increments(case: Case, increment: float, limit: int) -> Outcome:
-    """How the force in the usual increments differs from that in small ones, in %, as ``text``.
-
-    The error of the mesh stands beside it. Small increments may take four times as long.
-    """
+def in_increments(case: Case, increment: float, limit: int) -> tuple[Outcome, Outcome | None]:
+    """Solve a case as usual and, if it arrives, in small increments, four times as long at most."""
     control = StepControl(min(StepControl.first, increment), increment)
-    results = list[StressResult]()
-
-    class Kept(Case):
-        def solve(self, *given) -> StressResult:
-            results.append(super().solve(*given))
-            return results[-1]
-
-    outcome = attempt(Kept(**asdict(case)), limit=limit)
-    if outcome.kind != "converged":
-        return replace(outcome, case=case)
+    usual = attempt(case, limit=limit)
+    if usual.force is None:
+        return usual, None
     with (
         mock.patch.object(cascade, "StepControl", return_value=control),
         mock.patch.object(cascade, "_PATIENCE", 4 * cascade._PATIENCE),
     ):
-        small = attempt(Kept(**asdict(case)), limit=4 * limit)
-    if small.kind != "converged":
-        return replace(small, case=case, kind=f"{small.kind} in small increments")
-    usual, force = (result.maps.attrs["sample_force_mN"] for result in results)
-    error = results[0].maps.attrs.get("force_mesh_error_mN", np.nan)
-    text = f"{100 * (usual / force - 1):+.3f} % of the force, error of the mesh {error / usual:.2%}"
-    return replace(outcome, case=case, text=text)
+        return usual, attempt(case, limit=4 * limit)
 
 
 def increments(cases: list[Case], increment: float, limit: int, jobs: int) -> None:
     """Print how much of the force depends on the increments, map by map."""
     changes = []
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        count = len(cases)
-        for o in pool.map(change_by_increments, cases, [increment] * count, [limit] * count):
-            print(f"map {o.case.number}: {o.kind}, {o.text}", flush=True)
-            if o.kind == "converged":
-                changes.append(abs(float(o.text.split()[0])))
-    shares = ", ".join(f"{q} %: {np.percentile(changes, q):.3f}" for q in (50, 75, 95, 100))
-    print(
-        f"{len(changes)} maps: the force differs by ({shares}) % in increments of {increment:.0%}"
-    )
+        solve = partial(in_increments, increment=increment, limit=limit)
+        for usual, small in pool.map(solve, cases):
+            text = f"map {usual.case.number}: {usual.kind}"
+            if small is not None:
+                text += f", in small increments {small.kind}"
+            if small is not None and small.force:
+                change = 100 * (usual.force / small.force - 1)
+                error = 100 * (usual.mesh_error or np.nan) / usual.force
+                text += f", {change:+.3f} % of the force, error of the mesh {error:.2f} %"
+                if usual.kind == small.kind == "converged":
+                    changes.append(abs(change))
+            print(text, flush=True)
+    if changes:
+        shares = ", ".join(f"{q} %: {np.percentile(changes, q):.3f}" for q in (50, 95, 100))
+        print(f"{len(changes)} that converge: the force differs by ({shares}) %")
 
 
 def _ended(result: StressResult) -> str:
