@@ -43,7 +43,7 @@ class Tolerances:
     nearly
         Distance of a state that will do where Newton's method does not get there, its volume
         ten times as far off as ``volume`` at the most: so near, patience is a third of what it is
-        elsewhere, two iterations at least.
+        elsewhere, one iteration at least.
     """
 
     force: float = 1e-6
@@ -174,12 +174,12 @@ def iterate(
                 nearest, number = now, iteration
             patience = tolerances.patience
             if nearly_met(nearest, tolerances):
-                patience = max(patience // 3, 2)
+                patience = max(patience // 3, 1)
             left.append(now.distance)
-            if stagnates(left, patience):
-                raise NotConverged("Newton's method stagnates")
             if iteration >= tolerances.least and met(now, tolerances):
                 return now, iteration
+            if stagnates(left, patience):
+                raise NotConverged("Newton's method stagnates")
             krylov = 0
             for _ in range(_ATTEMPTS):
                 step = linearise(now, damping)
