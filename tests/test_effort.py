@@ -17,19 +17,7 @@ def solved(layer, **options):
 
 
 def spent(layer, **options):
-    """What ``cascade.solve`` counted."""
-    found = []
-
-    class Kept(cascade._Nested):
-        def __post_init__(self):
-            super().__post_init__()
-            if not found:
-                found.append(self.effort)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cascade, "_Nested", Kept)
-        solved(layer, **options)
-    return found[0].spent
+    return solved(layer, **options).effort.spent
 
 
 def test_steps_are_counted_within_and_nowhere_else():
@@ -64,6 +52,22 @@ def test_a_layer_that_takes_too_long_is_given_up(monkeypatch):
     assert solved(problem(), solver="direct").state.load == 1.0
     monkeypatch.setattr(cascade, "_PATIENT", problem().grid.n_elements / 10)
     assert solved(problem()).state.load == 1.0
+
+
+def test_patience_may_be_given_and_edges_kept(monkeypatch):
+    """As for the grids that a solution is compared with."""
+    whole = spent(problem())
+    assert spent(problem(), patience=4 * whole) == whole
+    with pytest.raises(LoadNotReached, match=TOO_LONG):
+        solved(problem(), patience=0.5 * whole)
+    tried = []
+    wider = cascade._Nested._by_wider_edges
+    monkeypatch.setattr(cascade._Nested, "_by_wider_edges", lambda n: tried.append(1) or wider(n))
+    for other_edges in (False, True):
+        tried.clear()
+        with pytest.raises(LoadNotReached):
+            solved(problem(), patience=0.1 * whole, other_edges=other_edges)
+        assert bool(tried) == other_edges
 
 
 def test_edges_become_narrower_while_there_is_time(monkeypatch):
@@ -133,7 +137,7 @@ def test_a_coarse_grid_that_took_all_the_time_says_how_far_it_came(monkeypatch):
 
     def stop(nested, level, carried):
         begun.append(level.grid.n_elements)
-        nested.effort.spent = 2 * nested._longest
+        nested.effort.spent = 2 * nested.patience
         raise LoadNotReached(0.9, TOO_LONG)
 
     monkeypatch.setattr(cascade._Nested, "_loaded", stop)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.cascade import LoadNotReached, Solution, coarsened, halved
+from optical_palpation.mechanics.effort import Effort
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths, node_positions
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
@@ -179,19 +180,20 @@ def test_no_estimate_where_there_is_no_coarser_solution(monkeypatch):
     assert "error of the mesh: unknown" in summarise(result)
 
 
-def test_no_estimate_where_another_grid_takes_too_long(monkeypatch):
-    iterations = []
+def test_further_grids_take_no_longer_than_the_solution(monkeypatch):
+    given = []
 
-    def endless(level, *_, on_iteration, **__):
-        while True:
-            iterations.append(1)
-            on_iteration(level, 0.5, len(iterations), None, 5)
+    def slow(level, *_, patience, **__):
+        given.append(patience)
+        return Solution(level, unloaded(level), effort=Effort(0.75 * patience))
 
-    monkeypatch.setattr(mesh_error, "solve", endless)
+    monkeypatch.setattr(mesh_error, "solve", slow)
     small = problem(8, depth=2)
-    found = mesh_error.mesh_error(Solution(small, unloaded(small)), lambda *_: None, lambda _: 0)
-    assert found is None
-    assert 100 < len(iterations) < 200
+    for spent, most in ((0.1, 3.0), (20.0, 20.0), (48.0, 12.0), (70.0, 3.0)):
+        given.clear()
+        solution = Solution(small, unloaded(small), effort=Effort(spent))
+        mesh_error.mesh_error(solution, lambda *_: (1.0, np.zeros((4, 4))), lambda _: 0)
+        assert given == pytest.approx([most, most / 4])
 
 
 def test_the_solution_on_finer_elements_lies_within_the_estimate():

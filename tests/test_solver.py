@@ -191,17 +191,31 @@ def test_an_error_that_does_not_fall_is_not_waited_for():
     assert seen[-1] == 4
 
 
-def test_an_iterate_that_will_do_is_soon_content():
+@pytest.mark.parametrize(
+    ("patience", "last"),
+    [({}, 4), ({"patience": 5}, 2), ({"patience": 5, "lingers": 1}, 1)],
+)
+def test_an_iterate_that_will_do_is_soon_content(patience, last):
     seen = []
 
     def linearise(now, damping):
         return Direction(lambda fraction: Point(0.95 * now.force_error), 3)
 
-    wanted = Tolerances(force=1e-6, nearly=1e-4)
+    wanted = Tolerances(force=1e-6, nearly=1e-4, **patience)
     with pytest.raises(NotConverged, match="stagnates") as failure:
         iterate(Point(9e-5), linearise, wanted, 1.0, lambda n, *_: seen.append(n))
-    assert seen[-1] == wanted.patience // 3
+    assert seen[-1] == last
     assert failure.value.nearest[0].force_error < 9e-5
+
+
+def test_equilibrium_is_equilibrium_however_slowly_it_was_reached():
+    def linearise(now, damping):
+        return Direction(lambda fraction: Point(0.9 * now.force_error), 3)
+
+    wanted = Tolerances(force=1e-6, nearly=1e-4, lingers=1, patience=1)
+    found, iterations = iterate(Point(1.05e-6), linearise, wanted, 1.0)
+    assert found.force_error < wanted.force
+    assert iterations == 1
 
 
 def test_what_snaps_for_ever_does_not_hide_that_all_else_comes_nearer():

@@ -40,10 +40,10 @@ class Tolerances:
     krylov
         Iterations of a linear solver from which on the tangent counts as nearly singular, and
         Newton's method is given up.
-    nearly
+    nearly, lingers
         Distance of a state that will do where Newton's method does not get there, its volume
         ten times as far off as ``volume`` at the most: so near, patience is a third of what it is
-        elsewhere, one iteration at least.
+        elsewhere, but so many iterations at least.
     """
 
     force: float = 1e-6
@@ -53,6 +53,7 @@ class Tolerances:
     patience: int = 12
     krylov: int = 1000
     nearly: float = 0.0
+    lingers: int = 2
     least: int = 1
 
 
@@ -174,7 +175,7 @@ def iterate(
                 nearest, number = now, iteration
             patience = tolerances.patience
             if nearly_met(nearest, tolerances):
-                patience = max(patience // 3, 1)
+                patience = max(patience // 3, tolerances.lingers)
             left.append(now.distance)
             if iteration >= tolerances.least and met(now, tolerances):
                 return now, iteration

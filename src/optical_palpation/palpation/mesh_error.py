@@ -18,9 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from optical_palpation.mechanics.cascade import LoadNotReached, Solution, halved, solve
+from optical_palpation.mechanics.cascade import (
+    LoadNotReached,
+    Solution,
+    halved,
+    patience_with,
+    solve,
+)
 from optical_palpation.mechanics.grid import LayerGrid
-from optical_palpation.mechanics.newton import Balance
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 
 Array = NDArray[np.float64]
@@ -41,9 +46,9 @@ _LEAST_RATIO = 1.2
 _LATERAL, _LEAST_LATERAL = np.array([False, True, True]), 4
 #: Elements of the largest grid on which the depth is compared, if the nested iteration has not.
 _ELEMENTS = 4000
-#: Newton iterations that another grid may take: most layers come to rest in 10 to 40, few that take
-#: more than these do, and those that do take as long as the solution itself.
-_MOST = 110
+#: Further grids may take as much effort together as the solution itself, at least so many seconds,
+#: and with it no more than that share of what a solution may take.
+_EFFORT, _SHARE = 3.0, 1.2
 #: Standard deviation, in elements, of the Gaussian over which the error of the map is averaged. The
 #: difference of two solutions has zeros where neither of them is right.
 _AVERAGED = 2.0
@@ -66,10 +71,6 @@ class MeshError:
     force: float
     stress: Array
     elements: int
-
-
-class _TooLong(Exception):
-    """Another grid takes too many iterations."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def mesh_error(
     """
     try:
         comparisons = _comparisons(solution, bound_guess, further)
-    except (LoadNotReached, _TooLong):
+    except LoadNotReached:
         return None
     if not comparisons or any(each.factor == np.inf for each in comparisons):
         return None
@@ -162,16 +163,14 @@ def _comparisons(
     if not further:
         return []
 
+    spent = solution.effort.spent
+    left = max(_EFFORT, min(spent, _SHARE * patience_with(solution.problem) - spent))
+
     def solved(problem: LayerProblem) -> Loaded:
-        spent = 0
-
-        def count(level: LayerProblem, load: float, iteration: int, now: Balance, _: int) -> None:
-            nonlocal spent
-            spent += iteration > 0
-            if spent > _MOST:
-                raise _TooLong
-
-        return problem, solve(problem, bound_guess, on_iteration=count).state
+        nonlocal left
+        other = solve(problem, bound_guess, patience=left, other_edges=False)
+        left -= other.effort.spent
+        return problem, other.state
 
     across = ~seen & _LATERAL
     if across.any():
