@@ -46,9 +46,9 @@ _LEAST_RATIO = 1.2
 _LATERAL, _LEAST_LATERAL = np.array([False, True, True]), 4
 #: Elements of the largest grid on which the depth is compared, if the nested iteration has not.
 _ELEMENTS = 4000
-#: Further grids may take as much effort together as the solution itself, at least so many seconds,
-#: and with it no more than that share of what a solution may take.
-_EFFORT, _SHARE = 3.0, 1.2
+#: Further grids may take as much effort together as the solution itself, or so many seconds, and
+#: with it no more than that share of what a solution may take, but for the seconds at last.
+_EFFORT, _SHARE, _AT_LAST = 9.0, 1.2, 3.0
 #: Standard deviation, in elements, of the Gaussian over which the error of the map is averaged. The
 #: difference of two solutions has zeros where neither of them is right.
 _AVERAGED = 2.0
@@ -164,7 +164,8 @@ def _comparisons(
         return []
 
     spent = solution.effort.spent
-    left = max(_EFFORT, min(spent, _SHARE * patience_with(solution.problem) - spent))
+    most = max(_AT_LAST, _SHARE * patience_with(solution.problem) - spent)
+    left = min(max(_EFFORT, spent), most)
 
     def solved(problem: LayerProblem) -> Loaded:
         nonlocal left
