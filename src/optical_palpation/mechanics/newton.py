@@ -266,11 +266,12 @@ def _newton_step(
     solver: LinearSolver,
     tolerances: Tolerances,
     damping: float,
+    eased: bool,
 ) -> Direction[Balance]:
     """Return where fractions of a Newton step lead."""
     viscosity = 0.0 if now.drag is None else now.drag.viscosity
     soft = softness(damping, _stiffness(problem), problem.shear_modulus)
-    system = assemble(problem, now, solver, viscosity + damping, soft)
+    system = assemble(problem, now, solver, viscosity + damping, soft, eased)
     return _direction(problem, now, system, solver, tolerances)
 
 
@@ -325,18 +326,23 @@ class Solvers:
     row: int = field(default=0, init=False)
 
     def step(
-        self, problem: LayerProblem, now: Balance, tolerances: Tolerances, damping: float
+        self,
+        problem: LayerProblem,
+        now: Balance,
+        tolerances: Tolerances,
+        damping: float,
+        eased: bool,
     ) -> Direction[Balance]:
         """Return where fractions of a Newton step lead."""
         if self.row == 0:
             long = min(_BESIDES + int(self.exact.work / _ITERATION), _LONG)
             quickly = replace(tolerances, krylov=min(long, tolerances.krylov))
             try:
-                return _newton_step(problem, now, self.iterative, quickly, damping)
+                return _newton_step(problem, now, self.iterative, quickly, damping, eased)
             except HardSystem:
                 self.row = _ROW
         self.row -= 1
-        return _newton_step(problem, now, self.exact, tolerances, damping)
+        return _newton_step(problem, now, self.exact, tolerances, damping, eased)
 
 
 @dataclass
@@ -408,7 +414,8 @@ class _Elimination:
         iterative = MultigridSolver(problem.grid, problem.shear_modulus, free)
         solver = Solvers(iterative, direct_solver(problem))
         try:
-            found = equilibrate(problem, own, solver, wanted, drag=drag)[0]
+            eases = self.problem.grid.n_elements > FINE
+            found = equilibrate(problem, own, solver, wanted, drag=drag, eases=eases)[0]
         except NotConverged as failure:
             if not self.due.carried or failure.nearest is None:
                 return state
@@ -426,11 +433,13 @@ def equilibrate(
     on_iteration: Callable[[int, Balance, int], None] | None = None,
     drag: Drag[LayerState] | None = None,
     eliminate: Due | None = None,
+    eases: bool | None = None,
 ) -> tuple[Balance, int]:
     """Bring a state into equilibrium at its load, ``drag`` included.
 
     Where a few columns keep the layer from equilibrium they are solved alone when they are due, to
-    ``eliminate`` them.
+    ``eliminate`` them. A layer that ``eases`` (by default one on a fine grid) goes on with eased
+    tangents (``assemble``) once a linear system is hard.
 
     Returns
     -------
@@ -447,11 +456,21 @@ def equilibrate(
     # Near equilibrium a step or two remain: dear ones cost less than another way there.
     to_the_end = replace(tolerances, krylov=max(tolerances.krylov, _TO_THE_END))
 
+    if eases is None:
+        eases = problem.grid.n_elements > FINE
+    eased = False
+
     def step(now: Balance, damping: float) -> Direction[Balance]:
+        nonlocal eased
         wanted = to_the_end if now.force_error < _CLOSE else tolerances
         if isinstance(solver, Solvers):
-            return solver.step(problem, now, wanted, damping)
-        return _newton_step(problem, now, solver, wanted, damping)
+            direction = solver.step(problem, now, wanted, damping, eased)
+        else:
+            direction = _newton_step(problem, now, solver, wanted, damping, eased)
+        # The pressure jumps between the elements of a rim, and what it adds to the tangent there
+        # is indefinite: once that shows, steps without most of it lead on sooner.
+        eased = eased or (eases and problem.edges == "free" and direction.krylov >= _ROUGH)
+        return direction
 
     columns = None
     if eliminate and problem.border is None:

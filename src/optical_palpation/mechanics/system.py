@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Vector = NDArray[np.floating]
 
+#: Columns of elements along free sides in which a tangent is eased, and the share of the pressure
+#: that it has there.
+_RIM, _EASED = 4, 0.3
+
 
 @dataclass
 class RightHandSide:
@@ -156,12 +160,14 @@ def assemble(
     solver: LinearSolver,
     resistance: float = 0.0,
     softness: float = 0.0,
+    eased: bool = False,
 ) -> NewtonSystem:
     """Assemble the tangent of the state that has the balance ``now``, for a linear solver.
 
     ``resistance``, kPa / mm^2, is that of the body to being displaced by the step, ``softness``,
-    1 / kPa, a compressibility beside that of the body; both are in the tangent alone. The tangent
-    passes through memory plane by plane of nodes, from which the solver stores what it needs.
+    1 / kPa, a compressibility beside that of the body; where ``eased``, most of the stiffness that
+    the pressure gives to the elements at free sides is left out. All this is in the tangent alone.
+    It passes through memory plane by plane of nodes, from which the solver stores what it needs.
     """
     grid, contact = problem.grid, now.contact
     nz1, ny1, nx1 = grid.node_shape
@@ -189,7 +195,8 @@ def assemble(
     # that nothing holds sideways; it does not enter the residual.
     hold = 1e-6 * problem.shear_modulus * grid.spacing[0]
     sides = [] if problem.border is None else problem.border.side_stiffness(now.state.u)
-    planes = problem.body.tangent_planes(now.state.u, now.state.p, gamma, divergence)
+    p = _eased(problem, now.state.p) if eased else now.state.p
+    planes = problem.body.tangent_planes(now.state.u, p, gamma, divergence)
     for k, plane in enumerate(planes):
         diagonal = plane[:, 13, :, :nx1]
         if resistance > 0:
@@ -223,6 +230,15 @@ def assemble(
         solver.store(k, plane)
     solver.prepare(system)
     return system
+
+
+def _eased(problem: LayerProblem, p: Array) -> Array:
+    """The pressure of an eased tangent."""
+    _, ny, nx = p.shape
+    y0, y1, x0, x1 = (_RIM if own else 0 for own in problem.own_sides)
+    inside = np.zeros((ny, nx), bool)
+    inside[y0 : ny - y1, x0 : nx - x1] = True
+    return np.where(inside, p, _EASED * p)
 
 
 def _free(problem: LayerProblem, contact: ContactLinearisation) -> NDArray[np.bool_]:
