@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics import newton
 from optical_palpation.mechanics.cascade import make_solver, solve
+from optical_palpation.mechanics.direct import DirectSolver
 from optical_palpation.mechanics.elimination import part, put_back, unbalanced_columns
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.imprint import Imprint
@@ -16,6 +17,7 @@ from optical_palpation.mechanics.iteration import TOLERANCES, NotConverged
 from optical_palpation.mechanics.newton import balance, equilibrate
 from optical_palpation.mechanics.path import Drag
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
+from optical_palpation.mechanics.system import assemble
 from optical_palpation.palpation.meshing import expected_forces
 
 LAW = MooneyRivlin(2.23, 0.703)
@@ -194,6 +196,47 @@ def test_held_columns_stay_where_they_are(solved):
     assert_array_equal(now.state.normal_force[..., held], cut.normal_force[..., held])
     after = put_back(start, box, own, now.state)
     assert balance(problem, after).imbalance < 0.1 * balance(problem, start).imbalance
+
+
+def test_an_eased_tangent_differs_near_free_sides_alone():
+    """There by what the pressure adds to it: of a layer without pressure, not at all."""
+    problem = replace(layer(), held=(False, True, False, False), mirrors=(False, False, True, False))
+    state = shaken(problem)
+
+    def difference(state):
+        now = balance(problem, state)
+        plain, eased = (DirectSolver(problem.grid.node_shape, 0.0) for _ in range(2))
+        assemble(problem, now, plain)
+        assemble(problem, now, eased, eased=True)
+        return np.abs(eased.stencil - plain.stencil).max((0, 2, 3))
+
+    changed = difference(state) > 0
+    ny, nx = changed.shape
+    # the nodes of the four columns of elements at each side that is neither held nor mirrored
+    expected = np.zeros((ny, nx), bool)
+    expected[:5] = expected[:, -5:] = True
+    expected[-1] = False  # held
+    assert_array_equal(changed, expected)
+    assert not difference(replace(state, p=0 * state.p)).any()
+
+
+def test_eased_steps_lead_to_the_same_equilibrium(solved, monkeypatch):
+    """Once a linear system takes many iterations, here any, and by other steps."""
+    problem, start = solved.problem, disturbed(solved)
+    solver = make_solver(problem, "multigrid")
+    monkeypatch.setattr(newton, "_ROUGH", 1)
+    used = []
+
+    def watched(*arguments):
+        used.append(arguments[-1])
+        return assemble(*arguments)
+
+    monkeypatch.setattr(newton, "assemble", watched)
+    for eases in (False, True):
+        used.clear()
+        now, count = equilibrate(problem, start, solver, EXACT, eases=eases)
+        assert_allclose(now.state.u, solved.state.u, atol=2e-5)
+        assert used == [False, *[eases] * (count - 1)]
 
 
 def test_columns_that_newtons_method_does_not_solve_are_left_nearer_to_equilibrium(solved):
