@@ -200,7 +200,7 @@ def test_held_columns_stay_where_they_are(solved):
 
 def test_an_eased_tangent_differs_near_free_sides_alone():
     """There by what the pressure adds to it: of a layer without pressure, not at all."""
-    problem = replace(layer(), held=(False, True, False, False), mirrors=(False, False, True, False))
+    problem = layer(held=(False, True, False, False), mirrors=(False, False, True, False))
     state = shaken(problem)
 
     def difference(state):
