@@ -81,6 +81,11 @@ class Body:
         """What resists its displacement against drag and in damped steps."""
         return Resistance(self.grid)
 
+    @cached_property
+    def _reference_volume(self) -> Array:
+        """Memory for the reference volumes, which are the same at all displacements."""
+        return np.empty(self.grid.shape)
+
     @property
     def bulk_modulus(self) -> Array:
         """Bulk modulus of each element, (nz, ny, nx) or (1, 1, 1), kPa."""
@@ -94,7 +99,7 @@ class Body:
     def forces(self, u: Array, p: Array) -> ElementForces:
         """Internal forces and volumes at displacement ``u`` (mm) and pressure ``p`` (kPa)."""
         force = np.empty(u.shape)
-        volume, reference = np.empty(self.grid.shape), np.empty(self.grid.shape)
+        volume, reference = np.empty(self.grid.shape), self._reference_volume
         jacobian = np.empty(self.grid.shape[:2])
         internal_force(
             self.nodes,

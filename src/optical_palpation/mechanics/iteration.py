@@ -198,6 +198,7 @@ def iterate(
             if damping < 0.1 * least_damping:
                 damping = 0.0
             now = after
+            del step, after  # they would stay in memory while the next system is solved
         if met(now, tolerances):
             return now, tolerances.iterations
         raise NotConverged(f"no convergence in {tolerances.iterations} Newton iterations")
@@ -249,6 +250,7 @@ def _search(
     contact forces: a step that takes these away would never lead on.
     """
     for fraction in (1.0, 0.5, 0.25, 0.125):
+        after = None  # out of memory before the next one is made
         after = step.follow(fraction)
         growth = 2.0 if lenient else 1 - 0.3 * fraction
         if after.min_jacobian > _FLATTENING * now.min_jacobian and after.merit < growth * highest:

@@ -302,6 +302,8 @@ def _direction(
     if problem.held_columns is not None:
         change[:, problem.held_columns] = 0.0
 
+    drag = now.drag  # not to hold the rest of the balance in memory
+
     def follow(fraction: float) -> Balance:
         trial = replace(
             state,
@@ -309,7 +311,7 @@ def _direction(
             p=state.p + fraction * dp,
             normal_force=state.normal_force + fraction * change,
         )
-        return balance(problem, trial, now.drag)
+        return balance(problem, trial, drag)
 
     return Direction(follow, krylov)
 
@@ -476,8 +478,10 @@ def equilibrate(
     if eliminate and problem.border is None:
         columns = _Elimination(problem, tolerances, drag, eliminate)
     with threads_for(problem.grid.node_shape):
-        start = balance(problem, state, drag)
-        return iterate(start, step, tolerances, least, on_iteration, columns)
+        # no name for the first balance: it would stay in memory until the end
+        return iterate(
+            balance(problem, state, drag), step, tolerances, least, on_iteration, columns
+        )
 
 
 def _stiffness(problem: LayerProblem) -> float:
