@@ -355,6 +355,7 @@ class _Elimination:
     tolerances: Tolerances
     drag: Drag[LayerState] | None
     due: Due
+    eases: bool = False
     margin: int = field(default=_MARGIN, init=False)
     left: float = field(default=np.inf, init=False)
     tries: int = field(default=_ELIMINATIONS, init=False)
@@ -416,8 +417,7 @@ class _Elimination:
         iterative = MultigridSolver(problem.grid, problem.shear_modulus, free)
         solver = Solvers(iterative, direct_solver(problem))
         try:
-            eases = self.problem.grid.n_elements > FINE
-            found = equilibrate(problem, own, solver, wanted, drag=drag, eases=eases)[0]
+            found = equilibrate(problem, own, solver, wanted, drag=drag, eases=self.eases)[0]
         except NotConverged as failure:
             if not self.due.carried or failure.nearest is None:
                 return state
@@ -440,8 +440,8 @@ def equilibrate(
     """Bring a state into equilibrium at its load, ``drag`` included.
 
     Where a few columns keep the layer from equilibrium they are solved alone when they are due, to
-    ``eliminate`` them. A layer that ``eases`` (by default one on a fine grid) goes on with eased
-    tangents (``assemble``) once a linear system is hard.
+    ``eliminate`` them. A layer that ``eases`` (by default one with free sides on a fine grid), and
+    with it those columns, goes on with eased tangents (``assemble``) once a linear system is hard.
 
     Returns
     -------
@@ -459,7 +459,7 @@ def equilibrate(
     to_the_end = replace(tolerances, krylov=max(tolerances.krylov, _TO_THE_END))
 
     if eases is None:
-        eases = problem.grid.n_elements > FINE
+        eases = problem.edges == "free" and problem.grid.n_elements > FINE
     eased = False
 
     def step(now: Balance, damping: float) -> Direction[Balance]:
@@ -471,12 +471,12 @@ def equilibrate(
             direction = _newton_step(problem, now, solver, wanted, damping, eased)
         # The pressure jumps between the elements of a rim, and what it adds to the tangent there
         # is indefinite: once that shows, steps without most of it lead on sooner.
-        eased = eased or (eases and problem.edges == "free" and direction.krylov >= _ROUGH)
+        eased = eased or (eases and direction.krylov >= _ROUGH)
         return direction
 
     columns = None
     if eliminate and problem.border is None:
-        columns = _Elimination(problem, tolerances, drag, eliminate)
+        columns = _Elimination(problem, tolerances, drag, eliminate, eases)
     with threads_for(problem.grid.node_shape):
         # no name for the first balance: it would stay in memory until the end
         return iterate(
