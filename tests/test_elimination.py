@@ -68,7 +68,7 @@ def test_resultant_error_is_what_a_force_changes_the_whole_by(solved):
     for share in (0.3, 0.6):
         now = pushed(share * average)
         # in the residual and, as it is more than contact there asks for, in the law of contact
-        held = now.residual[2, 0, 4, 7], now.contact.violation[0, 4, 7]
+        held = now.residual(problem)[2, 0, 4, 7], now.contact.violation[0, 4, 7]
         assert_allclose(held[0], -share * average, rtol=1e-2)
         assert_allclose(now.resultant_error, np.linalg.norm(held) / whole, rtol=0.1)
         assert now.force_error > 3 * now.resultant_error
@@ -112,12 +112,12 @@ def test_a_part_is_in_balance_where_the_whole_is(box, options):
         (balance(problem, state), balance(own, cut)),
         (balance(problem, state, drag), balance(own, cut, dragged)),
     ):
-        expected = whole.residual[:, :, *box][..., free]
+        expected = whole.residual(problem)[:, :, *box][..., free]
         assert np.abs(expected).max() > 0.1
-        assert_allclose(local.residual[..., free], expected, atol=1e-10)
+        assert_allclose(local.residual(own)[..., free], expected, atol=1e-10)
         violation = whole.contact.violation[:, *box][..., free]
         assert_allclose(local.contact.violation[..., free], violation, atol=1e-10)
-        assert not local.residual[..., ~free].any()
+        assert not local.residual(own)[..., ~free].any()
 
 
 def test_what_is_put_back_unsolved_changes_nothing():
@@ -265,7 +265,7 @@ def test_columns_without_an_equilibrium_are_left_to_the_whole_layer(solved, monk
     whole = newton.iterate
 
     def only_the_whole(now, *others):
-        if now.residual.shape != start.u.shape:
+        if now.force.shape != start.u.shape:
             raise NotConverged("not here")
         return whole(now, *others)
 

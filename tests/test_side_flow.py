@@ -66,7 +66,7 @@ def test_one_newton_step_is_that_of_the_reference_solver():
     state.p = rng.standard_normal(state.p.shape)
     state.normal_force += 0.01
     now = balance(problem, state)
-    nothing, bound = np.zeros_like(now.residual), np.ones(problem.grid.node_shape)
+    nothing, bound = np.zeros_like(now.force), np.ones(problem.grid.node_shape)
     sticks = now.contact.friction(problem, nothing, bound)  # such pressures would let it slide
     now = replace(now, friction=sticks)
     steps = []

@@ -12,6 +12,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from optical_palpation.runtime.heap import give_back
+
 from .contact import left_to_body, surface_stiffness
 from .grid import LayerGrid
 from .multigrid import Hierarchy
@@ -19,7 +21,6 @@ from .schur import Lubrication, SchurComplement
 from .stencil import (
     Stencil,
     exchanged,
-    halo_zeros,
     interior,
     store,
     subtract_product,
@@ -80,17 +81,12 @@ class MultigridSolver:
         own = interior(vector, self.hierarchy.levels[0].node_shape)
         return own.swapaxes(2, 3) if self.turned else own
 
-    def vector(self) -> Vector:
-        """Return a zero vector of the hierarchy."""
-        return halo_zeros(self.hierarchy.levels[0].node_shape)
-
     def prepare(self, system: NewtonSystem) -> None:
         """Update the preconditioner to a system whose planes have all been stored."""
         f32 = np.float32
         self.system = system
         free = system.free.swapaxes(2, 3) if self.turned else system.free
         self.hierarchy.update(np.ascontiguousarray(free))  # for which the kernels are compiled
-        self.free = system.free.astype(f32)
         volume = self.volume = system.volume.astype(f32)
         self.weight = f32(self.shear_modulus + system.gamma) / np.cbrt(volume)
         self.schur.prepare(volume, system.bulk_modulus, system.flow is not None)
@@ -102,14 +98,19 @@ class MultigridSolver:
         self.share = left_to_body(self.own, along_x, along_y, contact.spring).astype(f32)
         # The uniform pressure is the mode that cosine modes miss most (a layer with nowhere to go
         # answers to it with its bulk modulus alone): it is solved for by itself.
-        x = self.vector()
-        self.inside(x)[:] = self.free * system.pressure_force(np.ones_like(volume))
+        self.inside(self.hierarchy.levels[0].b)[:] = self.pressed(np.ones_like(volume))
         compressibility = float((volume / f32(system.bulk_modulus)).sum())
-        uniform = self.hierarchy.compliance(x) + compressibility
+        uniform = self.hierarchy.compliance() + compressibility
         total = self.total = float(volume.sum())
         # what lubrication says of that mode is not counted twice
         held = float((volume * self.lubrication.solve(volume)).sum()) / total
         self.rest = max(0.0, 1 / uniform - held / total)
+
+    def pressed(self, p: Vector) -> Vector:
+        """B p on the free unknowns: nodal forces, mN, in contact coordinates."""
+        force = self.system.pressure_force(p)
+        force *= self.system.free
+        return force
 
     def solve(
         self, rhs: RightHandSide, tolerance: float, limit: int | None = None
@@ -121,51 +122,49 @@ class MultigridSolver:
         force, each force by the share of it that contact leaves to the body.
         """
         f32 = np.float32
-        system, free, volume, weight = self.system, self.free, self.volume, self.weight
-        penalty, share = f32(system.gamma) / volume, self.share
-        x, b, r = self.vector(), self.vector(), self.vector()
-        inside, pushed, left = (self.inside(v) for v in (x, b, r))
-        size, total = free.size, self.total
+        system, volume, weight, share = self.system, self.volume, self.weight, self.share
+        penalty, nodes = f32(system.gamma) / volume, system.free.shape
+        finest = self.hierarchy.levels[0]  # whose vectors serve products as well: memory
+        x, b, r = (self.inside(v) for v in (finest.x, finest.b, finest.r))
+        size, total = system.free.size, self.total
 
         def split(v: Vector) -> tuple[Vector, Vector]:
-            return v[:size].reshape(free.shape), v[size:].reshape(volume.shape)
+            return v[:size].reshape(nodes), v[size:].reshape(volume.shape)
 
-        def operator(v: Vector) -> Vector:
-            u, p = split(v)
-            out = np.empty_like(v)
-            out_u, out_p = split(out)
-            inside[:] = u
+        def operator(v: Vector, out: Vector) -> None:
+            (u, p), (out_u, out_p) = split(v), split(out)
+            x[:] = u
             compression = system.compression(p)
-            pushed[:] = -free * system.pressure_force(p - penalty * compression)
-            subtract_product(system.stencil, x, b, r)
-            out_u[:] = -left
+            np.negative(self.pressed(p - penalty * compression), out=b)
+            subtract_product(system.stencil, finest.x, finest.b, finest.r)
+            np.negative(r, out=out_u)
             out_u[:, [0, -1]] *= share
-            out_p[:] = weight * (system.volume_change(u) - compression)
-            return out
+            np.subtract(system.volume_change(u), compression, out=out_p)
+            out_p *= weight
 
-        def precondition(v: Vector) -> Vector:
-            r_u, r_p = split(v)
-            out = np.empty_like(v)
-            out_u, out_p = split(out)
+        def precondition(v: Vector, out: Vector) -> None:
+            (r_u, r_p), (out_u, out_p) = split(v), split(out)
             r_p = r_p / weight
             mean = float(r_p.sum(dtype=np.float64))
             out_p[:] = -self.schur.solve(r_p - volume * f32(mean / total)) - f32(mean * self.rest)
             out_p -= self.lubrication.solve(r_p)
-            pressure = out_p - penalty * system.compression(out_p)
-            inside[:] = r_u
-            inside[:, [0, -1]] /= share
-            inside[:] = free * (inside - system.pressure_force(pressure))
-            out_u[:] = self.inside(self.hierarchy.cycle(x))
-            return out
+            b[:] = r_u
+            b[:, [0, -1]] /= share
+            b[:] -= self.pressed(out_p - penalty * system.compression(out_p))
+            out_u[:] = self.inside(self.hierarchy.cycle())
 
         b0 = np.concatenate([rhs.displacement.ravel(), (weight * rhs.volume).ravel()])
         split(b0)[0][:, [0, -1]] *= share
         most = longest(b0.size) if limit is None else min(limit, longest(b0.size))
+        prescribed = rhs.prescribed
+        del rhs  # memory peaks here
+        if b0.size > SMALL:
+            give_back()
         # a preconditioner may blow up where the layer snaps: Newton's method then tries otherwise
         with np.errstate(over="ignore", invalid="ignore"):
             solution, iterations = gmres(operator, precondition, b0, tolerance, most)
-        u, p = split(solution)
-        return with_prescribed(u, rhs.prescribed), p, iterations
+        du, dp = split(solution)
+        return with_prescribed(du, prescribed), dp, iterations
 
 
 def longest(unknowns: int) -> int:
@@ -182,25 +181,26 @@ def _of_elements(field: NDArray[np.float64]) -> NDArray[np.float64]:
 def gmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
     """GMRES from a zero guess, without restart, preconditioned from the right.
 
-    Returns the solution and the number of iterations, each one product and one preconditioning.
+    ``operator`` and ``precondition`` take a vector and the memory of their result. Returns the
+    solution and the number of iterations, each one product and one preconditioning.
     """
     size = float(np.linalg.norm(rhs))
     if size == 0:
         return np.zeros_like(rhs), 0
+    keeps = rhs.size <= KEPT
     # not touched, and so not in memory, before it is needed
     basis = np.empty((longest + 1, rhs.size), rhs.dtype)
+    kept = np.empty((longest if keeps else 1, rhs.size), rhs.dtype)
     np.divide(rhs, rhs.dtype.type(size), out=basis[0])
-    kept = np.empty((longest, rhs.size), rhs.dtype) if rhs.size <= KEPT else None
     h = np.zeros((longest + 1, longest))
     g = np.zeros(longest + 1)
     g[0] = size
     rotations: list[tuple[float, float]] = []
     n = 0
     for n in range(1, longest + 1):
-        step = precondition(basis[n - 1])
-        if kept is not None:
-            kept[n - 1] = step
-        w = operator(step)
+        step, w = kept[n - 1 if keeps else 0], basis[n]
+        precondition(basis[n - 1], step)
+        operator(step, w)
         along = basis[:n] @ w
         w -= along @ basis[:n]
         left = float(np.linalg.norm(w))
@@ -211,7 +211,7 @@ def gmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
             left = float(np.linalg.norm(w))
         h[:n, n - 1] = along
         h[n, n - 1] = left
-        np.divide(w, rhs.dtype.type(max(h[n, n - 1], 1e-30)), out=basis[n])
+        w /= rhs.dtype.type(max(left, 1e-30))
         for i, (c, s) in enumerate(rotations):
             h[i, n - 1], h[i + 1, n - 1] = (
                 c * h[i, n - 1] + s * h[i + 1, n - 1],
@@ -225,4 +225,7 @@ def gmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
         if abs(g[n]) <= tolerance * size:
             break
     y = np.linalg.solve(h[:n, :n], g[:n]).astype(rhs.dtype)
-    return y @ kept[:n] if kept is not None else precondition(y @ basis[:n]), n
+    if keeps:
+        return y @ kept[:n], n
+    precondition(y @ basis[:n], kept[0])
+    return kept[0], n

@@ -134,7 +134,7 @@ class Hierarchy:
     """All levels for one grid.
 
     Once the operator is stored in the stencil of the finest, ``update`` coarsens it and ``cycle``
-    does a V-cycle.
+    does a V-cycle. Between these, the vectors of all levels but ``mode`` are free for other use.
     """
 
     def __init__(
@@ -175,20 +175,19 @@ class Hierarchy:
         matrix = sparse_matrix(st.expanded(coarsest.stencil, coarsest.node_shape[2]), free)
         self._factors = factors_of(matrix, coarsest.node_shape)
 
-    def cycle(self, b: Vector) -> Vector:
-        """One V-cycle from zero for the right-hand side ``b`` (with halo); the result is reused."""
-        self.levels[0].b[:] = b
+    def cycle(self) -> Vector:
+        """One V-cycle from zero for the ``b`` of the finest level; returns its ``x``."""
         self._cycle(0)
         return self.levels[0].x
 
-    def compliance(self, b: Vector) -> float:
-        """Return b^T A^-1 b for a smooth ``b`` (with halo), by a V-cycle on the second level."""
+    def compliance(self) -> float:
+        """Return b^T A^-1 b for a smooth ``b`` of the finest level, by a V-cycle on the second."""
         finest = self.levels[0]
         if len(self.levels) == 1:
-            return float(np.vdot(b, self.cycle(b)))
+            return float(np.vdot(finest.b, self.cycle()))
         second = self.levels[1]
         with st.threads_for(finest.node_shape):
-            st.restrict(b, second.b, *_to_coarse(finest))
+            st.restrict(finest.b, second.b, *_to_coarse(finest))
         self._cycle(1)
         return float(np.vdot(second.b, second.x))
 

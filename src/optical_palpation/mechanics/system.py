@@ -104,7 +104,8 @@ class NewtonSystem:
         residual[~self.free] = 0.0
         du = with_prescribed(np.zeros(self.free.shape, dtype), prescribed)
         volume = -now.volume_residual.astype(dtype) - self.volume_change(du)
-        return RightHandSide(-residual.astype(dtype), volume, prescribed)
+        residual *= -1
+        return RightHandSide(residual.astype(dtype, copy=False), volume, prescribed)
 
     def volume_change(self, du: Vector) -> Vector:
         """B^T du: volume change of each element, mm^3, for du in contact coordinates."""

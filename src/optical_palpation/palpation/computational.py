@@ -428,7 +428,7 @@ def outcome(solution: Solution, now: Balance) -> dict[str, Any]:
                 for elements, load, count in solution.record
             ]
         ),
-        "volume_change_percent": 100 * float(now.volume.sum() / now.volume_ref.sum() - 1),
+        "volume_change_percent": 100 * now.volume_change,
         **residuals(now, solution.tolerances),
         "sides_force_share": float(sides.max()) / max(abs(window), 1e-30),
     }

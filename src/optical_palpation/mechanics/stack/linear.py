@@ -375,21 +375,20 @@ class _System:
         left = [f - p for f, p in zip(force, self.product(glued), strict=True)]
         slave, hierarchy = self.solver.slave, self.solver.sliding
         shape = self.solver.shapes[slave]
-        right = halo_zeros(shape)
-        interior(right, shape)[:] = self.mask[slave] * left[slave]
-        glued[slave] += interior(hierarchy.cycle(right), shape)
+        interior(hierarchy.levels[0].b, shape)[:] = self.mask[slave] * left[slave]
+        glued[slave] += interior(hierarchy.cycle(), shape)
         return glued
 
     def _glued(self, force: list[Vector]) -> list[Vector]:
         """Displacements of both bodies glued together."""
         solver, hierarchy = self.solver, self.solver.glued
         shape = hierarchy.levels[0].node_shape
-        right = halo_zeros(shape)
-        inside = interior(right, shape)
+        inside = interior(hierarchy.levels[0].b, shape)
+        inside[:] = 0
         for part, place in zip(self.link.to_glued(force), solver.places, strict=True):
             inside[:, *place] += part
         inside *= self.glued_mask
-        solution = interior(hierarchy.cycle(right), shape)
+        solution = interior(hierarchy.cycle(), shape)
         out = self.link.from_glued([solution[:, *place].copy() for place in solver.places])
         return self.masked(out)
 
@@ -443,12 +442,12 @@ class _System:
             for body, k, surface in self._surfaces()
         ]
 
-    def _operator(self, v: Vector) -> Vector:
+    def _operator(self, v: Vector, out: Vector) -> None:
         u, p = self._split(v)
         force = self.pressure_force([c * q for c, q in zip(self.coupling, p, strict=True)])
         change = self.volume_change(u)
         balance = self.masked([a + b for a, b in zip(self.product(u), force, strict=True)])
-        return self._join(
+        out[:] = self._join(
             self._shared(balance),
             [
                 (w * (dv - c * q)).astype(np.float32)
@@ -456,7 +455,7 @@ class _System:
             ],
         )
 
-    def _precondition(self, v: Vector) -> Vector:
+    def _precondition(self, v: Vector, out: Vector) -> None:
         force, change = self._split(v.copy())
         change = [c / w for c, w in zip(change, self.weight, strict=True)]
         means = np.array([c.sum(dtype=np.float64) for c in change])
@@ -470,7 +469,7 @@ class _System:
         for body, k, left_to_it in self.shares:
             force[body][:, k] /= left_to_it
         left = self.masked([f - q for f, q in zip(force, pressed, strict=True)])
-        return self._join(self.displace(left), p)
+        out[:] = self._join(self.displace(left), p)
 
     def _shared(self, force: list[Vector]) -> list[Vector]:
         """Forces weighted by the share that contacts leave to the bodies (in place)."""
