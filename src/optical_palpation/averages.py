@@ -6,12 +6,13 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import gaussian_filter1d
 
 Array = NDArray[np.float64]
 
 #: Standard deviation in pixels from which Fourier transforms are faster than sums.
-_WIDE = 16.0
+_WIDE = 4.0
 
 
 def gaussian_average(
@@ -39,13 +40,15 @@ def gaussian_average(
 
 
 def _by_transforms(field: Array, sigma: float, axis: int, mode: str) -> Array:
-    from scipy.signal import fftconvolve  # slow to load
-
-    reach = int(4 * sigma + 0.5)
+    size, reach = field.shape[axis], int(4 * sigma + 0.5)
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    beyond = [(0, 0)] * field.ndim
+    beyond[axis] = reach, reach
+    padded = np.pad(field, beyond, mode="edge" if mode == "nearest" else "constant")
+    # what goes round the ends is not shown
+    length = next_fast_len(size + 2 * reach, real=True)
     along = [1] * field.ndim
     along[axis] = -1
-    beyond = [(reach, reach) if size < 0 else (0, 0) for size in along]
-    padded = np.pad(field, beyond, mode="edge" if mode == "nearest" else "constant")
-    kernel = (weights / weights.sum()).reshape(along)
-    return np.asarray(fftconvolve(padded, kernel, mode="valid", axes=axis))
+    product = rfft(padded, length, axis) * rfft(weights / weights.sum(), length).reshape(along)
+    averages = irfft(product, length, axis, overwrite_x=True)
+    return np.moveaxis(np.moveaxis(averages, axis, 0)[2 * reach : 2 * reach + size], 0, axis)

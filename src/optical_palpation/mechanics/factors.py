@@ -287,13 +287,14 @@ def _eliminate(rows, columns, numbers, fronts, values):
         _eliminate_subtrees, len(subtrees), (rows, columns, numbers, fronts, values, shared)
     )
     places = np.empty(len(fronts.order), np.intp)
-    first = 0
-    for n in range(len(subtrees)):
-        for front in range(first, subtrees[n, 0]):
+    front = n = 0
+    while front < len(fronts.updates):
+        if n < len(subtrees) and front == subtrees[n, 0]:
+            front = subtrees[n, 1]
+            n += 1
+        else:
             _eliminate_front(front, rows, columns, numbers, fronts, values, shared, shared, places)
-        first = subtrees[n, 1]
-    for front in range(first, len(fronts.updates)):
-        _eliminate_front(front, rows, columns, numbers, fronts, values, shared, shared, places)
+            front += 1
 
 
 @nb.njit(fastmath=True, error_model="numpy")
@@ -352,10 +353,12 @@ def _eliminate_front(front, rows, columns, numbers, fronts, values, from_, to, p
     for k in range(0, p, _PANEL):
         after = min(k + _PANEL, p)
         lower, upper, right, below, at = _panel(values, at, after - k, size - after)
-        lower[:], upper[:] = _triangles(f[k:after, k:after].copy())
+        inverses = _triangles(_block(f, k, after, k, after))
+        _put(lower, 0, inverses[0])
+        _put(upper, 0, inverses[1])
         if after < size:
-            np.dot(lower, f[k:after, after:].copy(), right)
-            np.dot(f[after:, k:after].copy(), upper, below)
+            np.dot(lower, _block(f, k, after, after, size), right)
+            np.dot(_block(f, after, size, k, after), upper, below)
             subtract_matrix_product(f[after:, after:], below, right)
     first = fronts.updates[front]
     for row in f[p:, p:]:
@@ -391,7 +394,9 @@ def _triangles(a):
             factor, from_ = a[i, k], upper[k]
             for j in range(n):
                 line[j] -= factor * from_[j]
-        line /= a[i, i]
+        pivot = a[i, i]
+        for j in range(n):
+            line[j] /= pivot
     return lower, upper
 
 
@@ -432,9 +437,9 @@ def _gathered(front, fronts, x):
     border = fronts.border[fronts.borders[front] : fronts.borders[front + 1]]
     p = 3 * (end - begin)
     own = np.empty((p + 3 * len(border), x.shape[1]))
-    own[:p] = x[3 * begin : 3 * end]
+    _put(own, 0, x[3 * begin : 3 * end])
     for n in range(len(border)):
-        own[p + 3 * n : p + 3 * n + 3] = x[3 * border[n] : 3 * border[n] + 3]
+        _put(own, p + 3 * n, x[3 * border[n] : 3 * border[n] + 3])
     return own, p
 
 
@@ -445,14 +450,13 @@ def _forwards(front, fronts, values, x):
     for k in range(0, p, _PANEL):
         after = min(k + _PANEL, p)
         lower, _, _, below, at = _panel(values, at, after - k, len(own) - after)
-        own[k:after] = np.dot(lower, own[k:after])
+        _put(own, k, np.dot(lower, own[k:after]))
         if after < len(own):
-            own[after:] -= np.dot(below, own[k:after])
-    begin = fronts.pivots[front]
-    x[3 * begin : 3 * begin + p] = own[:p]
+            _subtract(own, after, np.dot(below, own[k:after]))
+    _put(x, 3 * fronts.pivots[front], own[:p])
     border = fronts.border[fronts.borders[front] : fronts.borders[front + 1]]
     for n in range(len(border)):
-        x[3 * border[n] : 3 * border[n] + 3] = own[p + 3 * n : p + 3 * n + 3]
+        _put(x, 3 * border[n], own[p + 3 * n : p + 3 * n + 3])
 
 
 @nb.njit(fastmath=True, error_model="numpy")
@@ -465,7 +469,33 @@ def _backwards(front, fronts, values, x):
         at -= 2 * m * (m + others)
         _, upper, right, _, _ = _panel(values, at, m, others)
         if others > 0:
-            own[k:after] -= np.dot(right, own[after:])
-        own[k:after] = np.dot(upper, own[k:after])
-    begin = fronts.pivots[front]
-    x[3 * begin : 3 * begin + p] = own[:p]
+            _subtract(own, k, np.dot(right, own[after:]))
+        _put(own, k, np.dot(upper, own[k:after]))
+    _put(x, 3 * fronts.pivots[front], own[:p])
+
+
+# Loops, where slices say the same: numba makes half as much code of them.
+@nb.njit(fastmath=True, error_model="numpy")
+def _block(f, top, bottom, left, right):
+    """A copy of a block of a matrix."""
+    out = np.empty((bottom - top, right - left))
+    for i in range(bottom - top):
+        for j in range(right - left):
+            out[i, j] = f[top + i, left + j]
+    return out
+
+
+@nb.njit(fastmath=True, error_model="numpy")
+def _put(to, first, rows):
+    """Put rows into a matrix from the row ``first`` on."""
+    for n in range(len(rows)):
+        for c in range(rows.shape[1]):
+            to[first + n, c] = rows[n, c]
+
+
+@nb.njit(fastmath=True, error_model="numpy")
+def _subtract(from_, first, rows):
+    """Subtract rows from those of a matrix from the row ``first`` on."""
+    for n in range(len(rows)):
+        for c in range(rows.shape[1]):
+            from_[first + n, c] -= rows[n, c]

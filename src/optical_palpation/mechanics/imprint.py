@@ -54,8 +54,7 @@ class Imprint:
     @cached_property
     def _coefficients(self) -> tuple[Array, Array]:
         """Those of the unloaded map's spline, and how they change."""
-        start = spline_filter(np.asarray(self.unloaded, float), order=3, mode="mirror")
-        end = spline_filter(np.asarray(self.loaded, float), order=3, mode="mirror")
+        start, end = (_spline_coefficients(field) for field in (self.unloaded, self.loaded))
         return start, end - start
 
     @cached_property
@@ -108,6 +107,13 @@ class Imprint:
         )
         out /= np.array([1, dx, dy, dx * dx, dx * dy, dy * dy])[:, None]
         return out.reshape(6, *x.shape)
+
+
+def _spline_coefficients(field: Array) -> Array:
+    field = np.asarray(field, float)
+    if np.ptp(field) == 0:  # the spline of a constant
+        return field
+    return spline_filter(field, order=3, mode="mirror")
 
 
 @nb.njit

@@ -304,7 +304,7 @@ def material_points(
     moved = [surface_field(grid, y - grid.y[:, None]), surface_field(grid, x - grid.x)]
     lower, upper = np.array([grid.y[0], grid.x[0]]), np.array([grid.y[-1], grid.x[-1]])
     shape, target = target.shape[:-1], target.reshape(-1, 2)
-    inverse = _inverse_gradient(axes, (y, x))
+    undo = _undoing(axes, (y, x))
     reference = target.copy()
     left = np.arange(len(target))
 
@@ -316,8 +316,8 @@ def material_points(
     while left.size and alike < _ASTRAY:
         missed = off(reference[left], target[left])
         here = np.clip(reference[left], lower, upper)
-        reference[left] += np.einsum("ncd,nd->nc", inverse(here), missed)
-        still = (np.abs(missed) > 1e-8 * (upper - lower)).any(-1)
+        reference[left] += undo(here, missed)
+        still = (np.abs(missed) > 1e-7 * (upper - lower)).any(-1)
         alike = alike + 1 if still.all() else 0
         left = left[still]
     if left.size:  # where rows at a rim are nearly folded, the gradient leads astray
@@ -370,25 +370,30 @@ def _triangles(nodes: Array) -> Array:
     return np.concatenate([lower.reshape(-1, 3, 2), upper.reshape(-1, 3, 2)])
 
 
-def _inverse_gradient(
+def _undoing(
     axes: tuple[Array, Array], positions: tuple[Array, Array]
-) -> Callable[[Array], Array]:
-    """Inverse of the lateral deformation gradient at points (n, 2): (n, 2, 2), y before x.
+) -> Callable[[Array, Array], Array]:
+    """Function that returns how far points (n, 2), y before x, must go to undo a miss (n, 2).
 
-    By differences of the nodes' positions, which is near enough for a step of Newton's method; the
-    identity where the surface is nearly folded or folded.
+    By the lateral deformation gradient there, of differences of the nodes' positions, which is near
+    enough for a step of Newton's method; by the miss itself where the surface is nearly folded.
     """
     from scipy.interpolate import RegularGridInterpolator  # slow to load
 
     rows = [np.stack(list(np.gradient(field, *axes)), -1) for field in positions]
     gradient = RegularGridInterpolator(axes, np.stack(rows, -2))
 
-    def inverse(points: Array) -> Array:
-        there = gradient(points)
-        there[np.linalg.det(there) < _FOLDED] = np.eye(2)
-        return np.linalg.inv(there)
+    def undo(points: Array, missed: Array) -> Array:
+        (yy, yx), (xy, xx) = np.moveaxis(gradient(points), 0, -1)
+        determinant = yy * xx - yx * xy
+        folded = determinant < _FOLDED
+        determinant[folded] = 1.0
+        y, x = missed.T
+        step = np.stack([xx * y - yx * x, yy * x - xy * y], -1) / determinant[:, None]
+        step[folded] = missed[folded]
+        return step
 
-    return inverse
+    return undo
 
 
 def surface_maps(
