@@ -97,6 +97,32 @@ def test_what_neither_grid_resolves_is_compared_on_further_ones(monkeypatch):
         assert mesh_error.mesh_error(solution, quantities, lambda _: 0, further=False) is None
 
 
+def test_narrow_free_edges_of_a_deep_layer_are_compared_too(monkeypatch):
+    """They cannot be made coarser for ever: what is left would be as many elements again."""
+    asked = []
+
+    def once_more(level, along):
+        asked.append(level.grid.shape)
+        assert len(asked) < 20
+        return halved(level, along)
+
+    monkeypatch.setattr(mesh_error, "solve", solved)
+    monkeypatch.setattr(mesh_error, "halved", once_more)
+    rolling = problem(16, 12, "free")
+    nodes = node_positions(5.0, 0.025, edge=0.02)
+    thickness = np.full((len(nodes), len(nodes)), 0.5)
+    fine = rolling.on_grid(LayerGrid(nodes, nodes, np.linspace(0, 1, 13), thickness))
+    coarse = coarsened(fine)
+    assert coarse.grid.shape[0] == 12
+    solution = Solution(fine, unloaded(fine), coarser=(coarse, unloaded(coarse)))
+
+    def quantities(level, _):
+        return 10 + (12 / level.grid.shape[0]) ** 2, np.zeros((4, 4))
+
+    assert mesh_error.mesh_error(solution, quantities, lambda _: 0).force > 1.0
+    assert asked
+
+
 def test_errors_along_and_across_the_depth_do_not_cancel(monkeypatch):
     monkeypatch.setattr(mesh_error, "solve", solved)
     fine = problem(16, 4)

@@ -183,7 +183,10 @@ def _comparisons(
     if not seen[0]:
         small = here[0]
         while 2 * small.grid.n_elements > _ELEMENTS and min(small.grid.shape[1:]) >= 12:
-            small = halved(small, _LATERAL)
+            fewer = halved(small, _LATERAL)
+            if fewer.grid.n_elements >= small.grid.n_elements:
+                break  # all are those of free edges, which stay
+            small = fewer
         if small is not here[0]:
             here = solved(small)
         gained = 1 - 2.0**-ORDER
