@@ -73,9 +73,6 @@ _ITERATIONS = 1000
 #: proportion on more; the share of it after which coarse free edges are tried; how much more
 #: than that a loaded layer may take to come to rest, and one on a coarser grid if all else failed.
 _PATIENCE, _PATIENT, _NARROW, _AT_LAST, _LATE = 50.0, 8000, 0.3, 1.15, 1.4
-#: Effort that a layer carried to a fine grid may take to come to rest against drag, of what
-#: Newton's method took there in vain; then the load is followed.
-_DRAGGED = 3.0
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.
@@ -518,19 +515,15 @@ class _Nested:
         if moved and balance(level, moved).force_error < error:
             begin = moved
         fine = level.grid.n_elements > FINE
-        before = self.effort.spent
         wanted = self._wanted(level)
-        if fine:  # drag takes long, and brings it no nearer, but is sooner there than a load path
+        if fine:  # the load path takes longer
             wanted = replace(wanted, nearly=NEARLY[0], lingers=1)
         nearest, reached = self._balanced(level, begin, wanted)
         if reached:
             if self.similar is not None:
                 self.own.settled(level, carried, nearest)
             return nearest
-        if not fine:
-            return None
-        now = self.effort.spent
-        return self._settled(level, nearest, until=now + _DRAGGED * (now - before))
+        return None
 
     def _loaded(self, level: LayerProblem, carried: LayerState | None) -> LayerState:
         """Follow the load on a grid: on a fine one from where it can be carried over, if it can be.
@@ -647,12 +640,8 @@ class _Nested:
         state: LayerState,
         wanted: Tolerances | None = None,
         more: float = _AT_LAST,
-        until: float = np.inf,
     ) -> LayerState | None:
-        """Let a loaded layer come to rest, as near to equilibrium as ``wanted``; None where not.
-
-        Not where it takes ``more`` than a path may, either, or more effort than ``until``.
-        """
+        """Let a loaded layer come to rest, as near to equilibrium as ``wanted``; None where not."""
         path = Path(
             LoadedLayer(level, self._solvers(level)),
             wanted or self._wanted(level),
@@ -661,7 +650,7 @@ class _Nested:
             self.control,
             partial(self.on_iteration, level) if self.on_iteration else None,
             resting=wanted or self._rest(level),
-            enough=lambda: self._enough(level, more) or self.effort.spent > until,
+            enough=partial(self._enough, level, more),
         )
         try:
             path.settle()
