@@ -18,7 +18,7 @@ from optical_palpation.runtime.environment import address_space_limit
 
 #: Bytes per node at the peak of a run by multigrid: stencils, vectors of the Krylov method, states;
 #: and per node of a face.
-_MULTIGRID, _FACE = 1450.0, 3000.0
+_MULTIGRID, _FACE = 1250.0, 3000.0
 #: Bytes of such a run whatever its size.
 _FIXED = 4e6
 #: Bytes per element of layer and sample, of runs with a sample, and those whatever the size.
