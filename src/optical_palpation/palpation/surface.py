@@ -317,7 +317,7 @@ def material_points(
         missed = off(reference[left], target[left])
         here = np.clip(reference[left], lower, upper)
         reference[left] += undo(here, missed)
-        still = (np.abs(missed) > 1e-7 * (upper - lower)).any(-1)
+        still = (np.abs(missed) > 1e-8 * (upper - lower)).any(-1)
         alike = alike + 1 if still.all() else 0
         left = left[still]
     if left.size:  # where rows at a rim are nearly folded, the gradient leads astray
