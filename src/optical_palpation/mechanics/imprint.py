@@ -112,7 +112,7 @@ class Imprint:
 def _spline_coefficients(field: Array) -> Array:
     field = np.asarray(field, float)
     if np.ptp(field) == 0:  # the spline of a constant
-        return field
+        return field.copy()  # in C order and writable, for which the kernel is compiled
     return spline_filter(field, order=3, mode="mirror")
 
 
