@@ -40,15 +40,13 @@ def gaussian_average(
 
 
 def _by_transforms(field: Array, sigma: float, axis: int, mode: str) -> Array:
-    size, reach = field.shape[axis], int(4 * sigma + 0.5)
+    along = np.moveaxis(field, axis, -1)
+    size, reach = along.shape[-1], int(4 * sigma + 0.5)
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    beyond = [(0, 0)] * field.ndim
-    beyond[axis] = reach, reach
-    padded = np.pad(field, beyond, mode="edge" if mode == "nearest" else "constant")
+    beyond = [(0, 0)] * (field.ndim - 1) + [(reach, reach)]
+    padded = np.pad(along, beyond, mode="edge" if mode == "nearest" else "constant")
     # what goes round the ends is not shown
     length = next_fast_len(size + 2 * reach, real=True)
-    along = [1] * field.ndim
-    along[axis] = -1
-    product = rfft(padded, length, axis) * rfft(weights / weights.sum(), length).reshape(along)
-    averages = irfft(product, length, axis, overwrite_x=True)
-    return np.moveaxis(np.moveaxis(averages, axis, 0)[2 * reach : 2 * reach + size], 0, axis)
+    product = rfft(padded, length) * rfft(weights / weights.sum(), length)
+    averages = irfft(product, length, overwrite_x=True)[..., 2 * reach : 2 * reach + size]
+    return np.moveaxis(averages, -1, axis)

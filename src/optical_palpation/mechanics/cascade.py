@@ -514,16 +514,15 @@ class _Nested:
         moved = self.similar.moved(level, carried) if self.similar else None
         if moved and balance(level, moved).force_error < error:
             begin = moved
-        fine = level.grid.n_elements > FINE
         wanted = self._wanted(level)
-        if fine:  # the load path takes longer
+        if level.grid.n_elements > FINE:  # the load path takes longer
             wanted = replace(wanted, nearly=NEARLY[0], lingers=1)
-        nearest, reached = self._balanced(level, begin, wanted)
-        if reached:
-            if self.similar is not None:
-                self.own.settled(level, carried, nearest)
-            return nearest
-        return None
+        state, reached = self._balanced(level, begin, wanted)
+        if not reached:
+            return None
+        if self.similar is not None:
+            self.own.settled(level, carried, state)
+        return state
 
     def _loaded(self, level: LayerProblem, carried: LayerState | None) -> LayerState:
         """Follow the load on a grid: on a fine one from where it can be carried over, if it can be.
