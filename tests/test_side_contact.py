@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from dense_stiffness import product
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics.cascade import make_solver, prolong, solve
 from optical_palpation.mechanics.contact import slip_coordinate
@@ -55,22 +56,6 @@ def pressed(problem, state):
     return side_contact(problem, state, w)
 
 
-def planes(contact, shape):
-    """The stiffness as its contribution to the planes of the tangent, as a matrix."""
-    size = 3 * np.prod(shape)
-    matrix = np.zeros((size, size))
-    numbers = np.arange(np.prod(shape)).reshape(shape)
-    for k in range(shape[0]):
-        plane = np.zeros((shape[1], 27, 9, shape[2]))
-        contact.add_stiffness(plane, k)
-        for j, m, entry, i in np.argwhere(plane):
-            dk, dj, di = m // 9 - 1, m // 3 % 3 - 1, m % 3 - 1
-            row = 3 * numbers[k, j, i] + entry // 3
-            column = 3 * numbers[k + dk, j + dj, i + di] + entry % 3
-            matrix[row, column] += plane[j, m, entry, i]
-    return matrix
-
-
 def test_the_stiffness_is_the_derivative_of_the_forces(rolled):
     problem, state = rolled
     shape = problem.grid.node_shape
@@ -85,8 +70,7 @@ def test_the_stiffness_is_the_derivative_of_the_forces(rolled):
     ) / 2e-7
     at_rest = contact.friction(np.zeros(state.u.shape), np.ones(shape))
     tangent = contact.tangent(at_rest)
-    found = planes(tangent, shape) @ np.moveaxis(step, 0, -1).ravel()
-    found = np.moveaxis(found.reshape(*shape, 3), -1, 0)
+    found = product(tangent, step)
     assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
 
 

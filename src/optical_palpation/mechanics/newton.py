@@ -15,6 +15,7 @@ from .contact import ContactLinearisation, FaceFriction, linearise, remember_sli
 from .direct import DirectSolver, direct_solver
 from .effort import spend
 from .elimination import Box, part, put_back, unbalanced_columns
+from .folds import Folds, folds
 from .friction import Ahead
 from .grid import face_and_sides
 from .iteration import (
@@ -134,10 +135,11 @@ class Balance:
     """Internal forces, volumes and contact of a state, and how far it is from equilibrium.
 
     ``drag`` is what resists the state. ``force`` are the internal nodal forces (x, y, z), with what
-    else holds the layer but for the faces (drag, cut sides, ``sides``), (3, nz + 1, ny + 1,
-    nx + 1), mN. ``volume_change`` is the relative one of the whole layer. ``columns`` are the
-    squares of what is out of balance in each column, (ny + 1, nx + 1), mN^2, ``imbalance`` is the
-    2-norm of all that, mN, ``force_error`` its share of the contact forces. ``friction`` and
+    else holds the layer but for contact of the faces (drag, cut sides, ``sides``, ``folds``), (3,
+    nz + 1, ny + 1, nx + 1), mN. ``volume_change`` is the relative one of the whole layer.
+    ``columns`` are the squares of what is out of balance in each column, (ny + 1, nx + 1), mN^2,
+    ``imbalance`` is the 2-norm of all that, mN, ``force_error`` its share of the contact forces.
+    ``friction`` and
     ``side_friction`` are linearised; ``merit`` is that of ``Iterate``.
     """
 
@@ -150,6 +152,7 @@ class Balance:
     flow: SideFlow | None
     contact: ContactLinearisation
     sides: SideContact
+    folds: list[Folds]
     friction: FaceFriction
     side_friction: Ahead | None
     merit: float
@@ -198,6 +201,9 @@ def balance(
         force += drag.viscosity * problem.body.resistance.force(state.u - drag.origin.u)
     if problem.border is not None:
         problem.border.add_resistance(state.u, force)
+    folded = folds(problem, state)
+    for face in folded:
+        face.add_forces(force)
     w = slip_coordinate(problem, state)
     slip, slip_of_sides = face_and_sides(w, problem.grid.node_shape[1:])
     sides = side_contact(problem, state, slip_of_sides)
@@ -235,6 +241,7 @@ def balance(
         flow=body.flow,
         contact=contact,
         sides=sides,
+        folds=folded,
         friction=friction,
         side_friction=side_friction,
         merit=float(np.sqrt(np.vdot(out, out) + violation.sum())),

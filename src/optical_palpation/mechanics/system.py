@@ -205,6 +205,8 @@ def assemble(
         if problem.border is not None:
             problem.border.add_stiffness(plane, k, sides)
         system.sides.add_stiffness(plane, k)
+        for face_folds in now.folds:
+            face_folds.add_stiffness(plane, k)
         if k == 0 or k >= nz1 - 2:  # the face of the sample has neighbours in the plane below it
             _to_contact_frame(plane, k, nz1, system.friction.row, contact.column, contact.turning)
         for face, there in faces:
