@@ -232,8 +232,8 @@ def test_what_flickers_next_to_equilibrium_is_taken_as_it_is():
 
 def egg_box():
     """A layer on hills and valleys, between which it slides and sticks."""
-    relief = 0.1 * np.cos(0.5 * np.pi * AXIS) * np.cos(np.pi * AXIS[:, None])
-    return pressed(0.35 + 0.8 * relief, 0.5, 0.2)
+    relief = np.cos(0.5 * np.pi * AXIS) * np.cos(np.pi * AXIS[:, None])
+    return pressed(0.35 + 0.07 * relief, 0.5, 0.2)
 
 
 @pytest.fixture

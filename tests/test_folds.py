@@ -67,7 +67,7 @@ def energy(problem, state, level):
         (xs, xt), (ys, yt) = along(x), along(y)
         unloaded = np.outer(np.diff(grid.y), np.diff(grid.x))
         missing = np.maximum(level - (xs * yt - xt * ys) / unloaded, 0.0)
-        total += 0.25 * 0.5 * spring * (unloaded * missing**2).sum()
+        total += 0.25 * spring * (unloaded * missing**3).sum() / 3
     return total
 
 

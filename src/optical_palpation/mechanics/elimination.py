@@ -9,6 +9,7 @@ goes on from there.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +22,8 @@ from .problem import LayerProblem, LayerState, Sides
 Array = NDArray[np.float64]
 #: Columns of nodes: slices along y and x.
 Box = tuple[slice, slice]
+#: Where columns were cut out, as a layer of their own, and its state.
+Part = tuple[Box, LayerProblem, LayerState]
 
 #: Share of what is out of balance that the columns to be solved hold.
 _SHARE = 0.9
@@ -69,7 +72,7 @@ def _wider(along: slice, count: int) -> slice:
     return slice(max(along.start - 1, 0), min(along.stop + 1, count))
 
 
-def part(problem: LayerProblem, state: LayerState, box: Box) -> tuple[LayerProblem, LayerState]:
+def cut_out(problem: LayerProblem, state: LayerState, box: Box) -> tuple[LayerProblem, LayerState]:
     """Cut columns out of a layer; the sides where it goes on are held."""
     grid, (y, x) = problem.grid, box
     own = LayerGrid(grid.x[x], grid.y[y], grid.depth, grid.thickness[box])
@@ -78,12 +81,22 @@ def part(problem: LayerProblem, state: LayerState, box: Box) -> tuple[LayerProbl
     y0, y1, x0, x1 = (m and not cut for m, cut in zip(problem.mirrors, held, strict=True))
     mirrors: Sides = (y0, y1, x0, x1)
 
+    # which side node of the layer each one of the columns is, if it is one
+    count = len(grid.depth)
+    j, i = (index.reshape(count, -1)[0] for index in grid.side_nodes[1:])
+    number = np.full((ny, nx), -1)
+    number[j, i] = np.arange(j.size)
+    j, i = (index.reshape(count, -1)[0] for index in own.side_nodes[1:])
+    which = number[box][j, i]
+
     def at_contact(values: Array) -> Array:
         face, sides = face_and_sides(values, (ny, nx))
-        whole = np.zeros((*values.shape[:-1], *grid.node_shape))
-        whole[:, :, *grid.side_nodes] = sides
-        mine = whole[..., y, x][:, :, *own.side_nodes]
-        return np.concatenate([face[..., y, x].reshape(*values.shape[:-1], -1), mine], axis=-1)
+        leading = values.shape[:-1]
+        mine = sides.reshape(*leading, count, -1)[..., which]
+        mine[..., which < 0] = 0.0
+        return np.concatenate(
+            [field.reshape(*leading, -1) for field in (face[..., y, x], mine)], -1
+        )
 
     return replace(problem, grid=own, held=held, mirrors=mirrors), replace(
         state,
@@ -95,13 +108,15 @@ def part(problem: LayerProblem, state: LayerState, box: Box) -> tuple[LayerProbl
     )
 
 
-def put_back(state: LayerState, box: Box, problem: LayerProblem, solved: LayerState) -> LayerState:
-    """Return a state with a part of it that was solved; ``problem`` is that of the part."""
-    out, held = state.copy(), problem.held_columns
-    free = np.ones(solved.u.shape[2:], bool) if held is None else ~held
-    out.u[:, :, *box][..., free] = solved.u[..., free]
-    out.normal_force[:, *box][..., free] = solved.normal_force[..., free]
-    out.p[:, *_elements(box)] = solved.p
+def put_back(state: LayerState, parts: Sequence[Part]) -> LayerState:
+    """Return a state with parts of it that were solved."""
+    out = state.copy()
+    for box, problem, solved in parts:
+        held = problem.held_columns
+        free = np.ones(solved.u.shape[2:], bool) if held is None else ~held
+        out.u[:, :, *box][..., free] = solved.u[..., free]
+        out.normal_force[:, *box][..., free] = solved.normal_force[..., free]
+        out.p[:, *_elements(box)] = solved.p
     return out
 
 

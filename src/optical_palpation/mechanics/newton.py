@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .contact import ContactLinearisation, FaceFriction, linearise, remember_slip, slip_coordinate
 from .direct import DirectSolver, direct_solver
 from .effort import spend
-from .elimination import Box, part, put_back, unbalanced_columns
+from .elimination import Box, Part, cut_out, put_back, unbalanced_columns
 from .folds import Folds, folds
 from .friction import Ahead
 from .grid import face_and_sides
@@ -390,15 +390,13 @@ class _Elimination:
         boxes = unbalanced_columns(now.columns, self.margin, due.most)
         if not boxes:
             return None
-        solved = now
-        for box in boxes:
-            state = self._solved(solved.state, box, now.imbalance / now.force_error)
-            if state is solved.state:
-                continue
-            trial = balance(self.problem, state, self.drag)
-            if trial.min_jacobian > 0 and trial.imbalance < _PUSHED * now.imbalance:
-                solved = trial
-        if solved is now:
+        scale = now.imbalance / now.force_error
+        found = [part for box in boxes if (part := self._solved(now.state, box, scale))]
+        solved = self._accepted(now, now.state, found) if found else None
+        if solved is None and len(found) > 1:  # one of them may be in the way of the others
+            for part in found:
+                solved = self._accepted(now, (solved or now).state, [part]) or solved
+        if solved is None:
             self.tries -= 3
             self.margin = min(self.margin + _WIDER, _WIDEST)
             return None
@@ -408,16 +406,22 @@ class _Elimination:
         self.left = solved.force_error
         return solved
 
-    def _solved(self, state: LayerState, box: Box, scale: float) -> LayerState:
-        """Return the state with the columns of a box in equilibrium, if they find one."""
-        problem, own = part(self.problem, state, box)
+    def _accepted(self, now: Balance, state: LayerState, parts: Sequence[Part]) -> Balance | None:
+        """Return the balance of a state with parts that were solved, unless they push too much."""
+        trial = balance(self.problem, put_back(state, parts), self.drag)
+        pushed = trial.min_jacobian <= 0 or trial.imbalance >= _PUSHED * now.imbalance
+        return None if pushed else trial
+
+    def _solved(self, state: LayerState, box: Box, scale: float) -> Part | None:
+        """Bring the columns of a box into equilibrium; None where they find none."""
+        problem, own = cut_out(self.problem, state, box)
         drag = self.drag
         if drag is not None:
-            origin = part(self.problem, drag.origin, box)[1]
+            origin = cut_out(self.problem, drag.origin, box)[1]
             drag = Drag(drag.viscosity, origin, [bound[box] for bound in drag.bound])
         now = balance(problem, own, drag)
         if now.imbalance < _KEEP * self.tolerances.force * scale:
-            return state
+            return None
         # the whole layer's forces are what errors are compared with
         factor = scale * now.force_error / now.imbalance
         force = max(0.3 * self.tolerances.force, _KEEP * now.force_error / factor)
@@ -429,7 +433,7 @@ class _Elimination:
             nearly=0.0,
         )
         if met(now, wanted):
-            return state
+            return None
         free = problem.edges == "free"
         iterative = MultigridSolver(problem.grid, problem.shear_modulus, free)
         solver = Solvers(iterative, direct_solver(problem))
@@ -437,11 +441,11 @@ class _Elimination:
             found = equilibrate(problem, own, solver, wanted, drag=drag, eases=self.eases)[0]
         except NotConverged as failure:
             if not self.due.carried or failure.nearest is None:
-                return state
+                return None
             found = failure.nearest[0]
             if found.imbalance > _NEARER * now.imbalance:
-                return state
-        return put_back(state, box, problem, found.state)
+                return None
+        return box, problem, found.state
 
 
 def equilibrate(
