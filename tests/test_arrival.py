@@ -211,7 +211,11 @@ class Flickers:
 
     def balance(self, state):
         return SimpleNamespace(
-            state=state, distance=self.left, force_error=self.left, volume_error=self.swollen
+            state=state,
+            distance=self.left,
+            force_error=self.left,
+            volume_error=self.swollen,
+            volume_distance=self.swollen,
         )
 
 

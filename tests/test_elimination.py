@@ -90,6 +90,24 @@ def test_distance_counts_what_snaps_on_fine_grids_by_what_it_changes_the_whole_b
         assert fine == (now.resultant_error if share < 1 else now.force_error)
 
 
+def test_a_crushed_element_counts_on_fine_grids_by_its_share_of_the_layer(solved, monkeypatch):
+    """Not so where the whole layer has too little volume."""
+    problem = solved.problem
+
+    def off(elements):
+        state = solved.state.copy()
+        state.p[elements] -= 1e-3 * problem.bulk_modulus
+        now = balance(problem, state)
+        assert now.volume_distance == now.volume_error
+        with monkeypatch.context() as changes:
+            changes.setattr(newton, "FINE", 0)
+            return now.volume_error, balance(problem, state).volume_distance
+
+    count = solved.state.p.size
+    assert_allclose(off((1, 2, 3)), [1e-3 / np.sqrt(count), 1e-3 / count], rtol=1e-2)
+    assert_allclose(off(...), 1e-3, rtol=1e-2)
+
+
 @pytest.mark.parametrize("box", BOXES)
 @pytest.mark.parametrize(
     "options", [{}, {"edges": "roller"}, {"mirrors": (True, False, True, False)}]

@@ -171,6 +171,10 @@ class Point:
     def imbalance(self):
         return self.force_error
 
+    @property
+    def volume_distance(self):
+        return self.volume_error
+
     merit = distance = imbalance
 
 

@@ -64,12 +64,30 @@ def unbalanced_columns(imbalance: Array, margin: int, most: float) -> list[Box]:
         chosen = filled
     if chosen.mean() > most:
         return []
-    ny, nx = imbalance.shape
-    return [(_wider(y, ny), _wider(x, nx)) for y, x in boxes]
+    return [widened(box, imbalance.shape) for box in boxes]
 
 
-def _wider(along: slice, count: int) -> slice:
-    return slice(max(along.start - 1, 0), min(along.stop + 1, count))
+def widened(box: Box, shape: tuple[int, ...]) -> Box:
+    """A box with one more column on all sides, but for those of the layer of columns (y, x)."""
+    y, x = (
+        slice(max(along.start - 1, 0), min(along.stop + 1, count))
+        for along, count in zip(box, shape, strict=True)
+    )
+    return y, x
+
+
+def at_free_side(problem: LayerProblem, box: Box) -> bool:
+    """Whether some of the columns of a box are at a free side of the layer itself."""
+    (y, x), (_, ny, nx) = box, problem.grid.node_shape
+    ends = y.start == 0, y.stop == ny, x.start == 0, x.stop == nx
+    own = zip(ends, problem.own_sides, strict=True)
+    return problem.edges == "free" and any(end and free for end, free in own)
+
+
+def within(box: Box, other: Box) -> Box:
+    """Where a box is in another one."""
+    y, x = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(box, other, strict=True))
+    return y, x
 
 
 def cut_out(problem: LayerProblem, state: LayerState, box: Box) -> tuple[LayerProblem, LayerState]:

@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 from .contact import ContactLinearisation, FaceFriction, linearise, remember_slip, slip_coordinate
 from .direct import DirectSolver, direct_solver
 from .effort import spend
-from .elimination import Box, Part, cut_out, put_back, unbalanced_columns
+from .elimination import (
+    Box,
+    Part,
+    at_free_side,
+    cut_out,
+    put_back,
+    unbalanced_columns,
+    widened,
+    within,
+)
 from .folds import Folds, folds
 from .friction import Ahead
 from .grid import face_and_sides
@@ -110,10 +119,11 @@ class Due:
 
     After ``first`` iterations, where the ``last`` ones left more than a share ``left`` of the
     error, and the columns are at most a share ``most`` of the layer. In a layer that was
-    ``carried`` to another grid their volumes may be as much looser than the whole layer's as their
-    forces, and where they find no equilibrium what is nearest to one will do. Where the load is
-    followed with no similar layer to guide it neither pays: thin layers that stick ask for volumes
-    as good as the whole layer's.
+    ``carried`` to another grid only those at free sides are solved: others have to keep their
+    volume, and push all around them. Their volumes may be as much looser than the whole layer's as
+    their forces, and where they find no equilibrium what is nearest to one will do. Where the load
+    is followed with no similar layer to guide it none of this pays: thin layers that stick ask for
+    volumes as good as the whole layer's.
     """
 
     first: int
@@ -175,6 +185,13 @@ class Balance:
         if self.state.p.size <= FINE:
             return self.force_error
         return min(self.force_error, self.resultant_error)
+
+    @cached_property
+    def volume_distance(self) -> float:
+        """That of ``Iterate``: ``volume_error``, on fine grids the mean of the violation."""
+        if self.state.p.size <= FINE:
+            return self.volume_error
+        return float(np.mean(np.abs(self.volume_residual / self.volume_ref)))
 
     @property
     def resultant_error(self) -> float:
@@ -388,14 +405,20 @@ class _Elimination:
         if errors[-1] <= due.left * errors[-1 - due.last]:
             return None
         boxes = unbalanced_columns(now.columns, self.margin, due.most)
+        if due.carried:
+            boxes = [box for box in boxes if at_free_side(self.problem, box)]
         if not boxes:
             return None
         scale = now.imbalance / now.force_error
-        found = [part for box in boxes if (part := self._solved(now.state, box, scale))]
-        solved = self._accepted(now, now.state, found) if found else None
-        if solved is None and len(found) > 1:  # one of them may be in the way of the others
-            for part in found:
-                solved = self._accepted(now, (solved or now).state, [part]) or solved
+        found: list[Part] = []
+        left, most = now.imbalance**2, (_PUSHED * now.imbalance) ** 2
+        for box in boxes:
+            part = self._solved(now.state, box, scale)
+            after = left + self._added(now.state, part) if part else np.inf
+            if part and after < most:
+                found.append(part)
+                left = after
+        solved = balance(self.problem, put_back(now.state, found), self.drag) if found else None
         if solved is None:
             self.tries -= 3
             self.margin = min(self.margin + _WIDER, _WIDEST)
@@ -406,19 +429,32 @@ class _Elimination:
         self.left = solved.force_error
         return solved
 
-    def _accepted(self, now: Balance, state: LayerState, parts: Sequence[Part]) -> Balance | None:
-        """Return the balance of a state with parts that were solved, unless they push too much."""
-        trial = balance(self.problem, put_back(state, parts), self.drag)
-        pushed = trial.min_jacobian <= 0 or trial.imbalance >= _PUSHED * now.imbalance
-        return None if pushed else trial
+    def _added(self, state: LayerState, part: Part) -> float:
+        """How much more is out of balance with a part that was solved: of the square of it, mN^2.
+
+        That changes in the columns of the part and those where it was cut alone.
+        """
+        box, problem, solved = part
+        wider = widened(box, self.problem.grid.node_shape[1:])
+        inner = within(box, wider)
+        whole, before = cut_out(self.problem, state, wider)
+        after = put_back(before, [(inner, problem, solved)])
+        drag = self._drag_of(wider)
+        now = balance(whole, after, drag)
+        if now.min_jacobian <= 0:
+            return np.inf
+        return float(now.columns.sum() - balance(whole, before, drag).columns.sum())
+
+    def _drag_of(self, box: Box) -> Drag[LayerState] | None:
+        if self.drag is None:
+            return None
+        origin = cut_out(self.problem, self.drag.origin, box)[1]
+        return Drag(self.drag.viscosity, origin, [bound[box] for bound in self.drag.bound])
 
     def _solved(self, state: LayerState, box: Box, scale: float) -> Part | None:
         """Bring the columns of a box into equilibrium; None where they find none."""
         problem, own = cut_out(self.problem, state, box)
-        drag = self.drag
-        if drag is not None:
-            origin = cut_out(self.problem, drag.origin, box)[1]
-            drag = Drag(drag.viscosity, origin, [bound[box] for bound in drag.bound])
+        drag = self._drag_of(box)
         now = balance(problem, own, drag)
         if now.imbalance < _KEEP * self.tolerances.force * scale:
             return None

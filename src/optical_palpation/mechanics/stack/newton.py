@@ -57,6 +57,11 @@ class Balance:
         """That of ``Iterate``: ``force_error``."""
         return self.force_error
 
+    @property
+    def volume_distance(self) -> float:
+        """That of ``Iterate``: ``volume_error``."""
+        return self.volume_error
+
     def side_tangents(self) -> list[SideTangent]:
         """What presses the sides of both bodies, linearised."""
         each = zip(self.sides, self.side_frictions, strict=True)
