@@ -1,6 +1,7 @@
 """From grid to grid."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.testing import assert_allclose
 
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics import cascade
-from optical_palpation.mechanics.cascade import grids, solve
+from optical_palpation.mechanics.cascade import OnlyOnCoarser, grids, solve
 from optical_palpation.mechanics.grid import (
     EDGE,
     LayerGrid,
@@ -22,6 +23,8 @@ from optical_palpation.mechanics.grid import (
     node_positions,
 )
 from optical_palpation.mechanics.imprint import Imprint
+from optical_palpation.mechanics.iteration import NotConverged
+from optical_palpation.mechanics.path import NEARLY
 from optical_palpation.mechanics.problem import LayerProblem
 from optical_palpation.palpation import computational_stress
 from optical_palpation.palpation.meshing import expected_forces, layer_problem
@@ -148,20 +151,63 @@ def test_elements_finer_than_the_rim_agree_with_coarser_ones():
     assert force(0.025) == pytest.approx(force(0.05), rel=0.03)
 
 
-def test_what_is_too_far_at_full_load_is_carried_over_before_that(monkeypatch):
-    """Rough faces: the friction of a layer carried over at full load would be another one."""
-    law = MooneyRivlin(c10=2.23, c01=0.703)
+LAW = MooneyRivlin(c10=2.23, c01=0.703)
+
+
+def wavy(size=0.16, friction=(0.3, 0.2)):
     x = np.linspace(0, 4, 81)
     waves = thickness_map(0.37 + 0.04 * np.cos(3 * x) * np.cos(2.4 * x[:, None] + 0.5), x=x, y=x)
-    held = {"window": 0.3, "sample": 0.2}
-    sizes = (0.16, 0.16, 0.125)
-    problem = layer_problem(waves, 0.5 + 0 * waves, None, law, held, sizes, "free", 0.08, 1e-3)
+    held = dict(zip(("window", "sample"), friction, strict=True))
+    sizes = (size, size, 0.125)
+    return layer_problem(waves, 0.5 + 0 * waves, None, LAW, held, sizes, "free", 0.08, 1e-3)
+
+
+def loads_on_the_finest(problem, solution):
+    return [load for count, load, _ in solution.record if count == problem.grid.n_elements]
+
+
+@pytest.mark.parametrize(("left", "taken"), [(0.5, True), (1.5, False)])
+def test_a_huge_layer_is_taken_as_it_is_where_little_is_left(monkeypatch, left, taken):
+    """The load path on that grid would take hours."""
+    problem, solved = wavy(friction=(0.05, 0.05)), cascade.equilibrate
+
+    def nearly(*arguments, **options):
+        now, count = solved(*arguments, **options)
+        failure = NotConverged("flickers")
+        nearest = SimpleNamespace(state=now.state, distance=left * NEARLY[1], volume_distance=0.0)
+        failure.nearest = nearest, count
+        raise failure
+
+    monkeypatch.setattr(cascade, "equilibrate", nearly)
+    monkeypatch.setattr(cascade, "FINE", 3000)
+    monkeypatch.setattr(cascade, "_HUGE", 3000)
+    solution = solve(problem, lambda level: expected_forces(level, LAW))
+    assert (loads_on_the_finest(problem, solution) == [1.0]) == taken
+
+
+def test_what_cannot_be_carried_over_is_given_up_before_long(monkeypatch):
+    """In favour of the solution on coarser elements."""
+    problem = wavy()
+    assert problem.grid.n_elements > 3000
+    monkeypatch.setattr(cascade, "FINE", 3000)
+    monkeypatch.setattr(cascade, "_FAR", 0.0)
+    monkeypatch.setattr(cascade, "_PATIENCE", 0.0)
+    monkeypatch.setattr(cascade, "_AGAIN", 1.2)
+    with pytest.raises(OnlyOnCoarser) as stopped:
+        solve(problem, lambda level: expected_forces(level, LAW), patience=50.0, other_edges=False)
+    assert stopped.value.solution.problem.grid.n_elements < 3000
+    monkeypatch.setattr(cascade, "_AGAIN", np.inf)
+    solution = solve(problem, lambda level: expected_forces(level, LAW), patience=50.0)
+    assert solution.problem is problem
+
+
+def test_what_is_too_far_at_full_load_is_carried_over_before_that(monkeypatch):
+    """Rough faces: the friction of a layer carried over at full load would be another one."""
+    problem = wavy()
 
     def solved(**options):
-        solution = solve(problem, lambda level: expected_forces(level, law), **options)
-        finest = problem.grid.n_elements
-        loads = [load for count, load, _ in solution.record if count == finest]
-        return solution.state.normal_force[1].sum(), loads
+        solution = solve(problem, lambda level: expected_forces(level, LAW), **options)
+        return solution.state.normal_force[1].sum(), loads_on_the_finest(problem, solution)
 
     followed, _ = solved(cascade=False)
     monkeypatch.setattr(cascade, "FINE", 3000)

@@ -73,6 +73,10 @@ _ITERATIONS = 1000
 #: proportion on more; the share of it after which coarse free edges are tried; how much more
 #: than that a loaded layer may take to come to rest, and one on a coarser grid if all else failed.
 _PATIENCE, _PATIENT, _NARROW, _AT_LAST, _LATE = 50.0, 8000, 0.3, 1.15, 1.4
+#: How many times what was spent until then the load may take to follow on a fine grid to which the
+#: layer could not be carried over; and the elements beyond which that takes so long that a layer is
+#: taken as it is if what is left changes its force by no more than ``NEARLY[1]``.
+_AGAIN, _HUGE = 5.0, 500_000
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.
@@ -380,6 +384,7 @@ class _Nested:
         least = min(self.tolerances, TOLERANCES, key=lambda wanted: wanted.force)
         self._coarser, self._on_the_way = relaxed(least, _COARSER), relaxed(least, _ON_THE_WAY)
         self._resting = relaxed(least, _RESTING)
+        self._limit = self.patience
         # until that was tried
         self._may_widen = self.other_edges and _narrow_edges(self.problem)
 
@@ -392,6 +397,9 @@ class _Nested:
             if found and found[-1][0] == n + 1:
                 carried = prolong(found[-1][1], levels[n + 1], level)
                 state = self._carried_over(level, carried)
+                if state is None and level.grid.n_elements > FINE:
+                    again = max(_PATIENCE, _AGAIN * self.effort.spent)
+                    self._limit = min(self.patience, again)
             try:
                 state = state or self._loaded(level, carried)
             except LoadNotReached as failure:
@@ -628,6 +636,8 @@ class _Nested:
             if failure.nearest is None:
                 raise
             now, count = failure.nearest
+            if level.grid.n_elements > _HUGE:
+                wanted = replace(wanted, nearly=NEARLY[1])
             if not nearly_met(now, wanted):
                 return now.state, False
         self.record.append((level.grid.n_elements, state.load, count))
@@ -665,7 +675,7 @@ class _Nested:
     def _enough(self, level: LayerProblem, more: float = 1.0) -> bool:
         """Whether what a path may take, or ``more`` than that, has been spent."""
         share = _NARROW if self._soon(level) and not self.narrows else 1.0
-        return self.effort.spent > share * more * self.patience
+        return self.effort.spent > share * more * self._limit
 
     def _wanted(self, level: LayerProblem) -> Tolerances:
         return self.tolerances if level is self.problem else self._coarser
