@@ -76,7 +76,7 @@ _PATIENCE, _PATIENT, _NARROW, _AT_LAST, _LATE = 50.0, 8000, 0.3, 1.15, 1.4
 #: How many times what was spent until then the load may take to follow on a fine grid to which the
 #: layer could not be carried over; and the elements beyond which that takes so long that a layer is
 #: taken as it is if what is left changes its force by no more than ``NEARLY[1]``.
-_AGAIN, _HUGE = 5.0, 500_000
+_AGAIN, _HUGE = 5.0, 2_000_000
 #: Elements up to which an exact linear solver solves what the iterative one hardly does.
 _EXACT = 10_000
 #: Share of its smallest J that a layer must keep when it is carried to a finer grid.
@@ -525,6 +525,8 @@ class _Nested:
         wanted = self._wanted(level)
         if level.grid.n_elements > FINE:  # the load path takes longer
             wanted = replace(wanted, nearly=NEARLY[0], lingers=1)
+        if level.grid.n_elements > _HUGE:
+            wanted = replace(wanted, nearly=NEARLY[1], lingers=2)
         state, reached = self._balanced(level, begin, wanted)
         if not reached:
             return None
@@ -636,8 +638,6 @@ class _Nested:
             if failure.nearest is None:
                 raise
             now, count = failure.nearest
-            if level.grid.n_elements > _HUGE:
-                wanted = replace(wanted, nearly=NEARLY[1])
             if not nearly_met(now, wanted):
                 return now.state, False
         self.record.append((level.grid.n_elements, state.load, count))
