@@ -10,7 +10,12 @@ from optical_palpation.material import MooneyRivlin
 from optical_palpation.mechanics import newton
 from optical_palpation.mechanics.cascade import make_solver, solve
 from optical_palpation.mechanics.direct import DirectSolver
-from optical_palpation.mechanics.elimination import cut_out, put_back, unbalanced_columns
+from optical_palpation.mechanics.elimination import (
+    at_free_side,
+    cut_out,
+    put_back,
+    unbalanced_columns,
+)
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.iteration import TOLERANCES, NotConverged
@@ -200,6 +205,35 @@ def test_a_disturbed_corner_is_brought_back_by_itself(solved, monkeypatch):
     # from the first iteration on, not only where Newton's method is slow
     at_once = replace(newton.SLOW, first=2, last=1, left=0.0)
     assert iterations(at_once) < iterations(None)
+
+
+def test_what_a_part_adds_is_told_by_its_own_columns(solved):
+    """As the balances of the whole layer, with drag and without, tell it."""
+    problem, start = solved.problem, disturbed(solved)
+    bound = [0.5 * force for force in start.normal_force]
+    for box in ((slice(0, 8), slice(0, 8)), (slice(3, 9), slice(2, 7))):
+        own, cut = cut_out(problem, start, box)
+        cut.u[..., ~own.held_columns] += 1e-3
+        part = box, own, cut
+        for drag in (None, Drag(300.0, solved.state, bound)):
+            columns = newton._Elimination(problem, TOLERANCES, drag, newton.SLOW)
+            before, after = (
+                balance(problem, state, drag).imbalance
+                for state in (start, put_back(start, [part]))
+            )
+            assert columns._added(start, part) == pytest.approx(after**2 - before**2, rel=1e-6)
+
+
+def test_columns_at_a_cut_a_mirror_or_a_roller_are_not_at_a_free_side():
+    problem = layer()
+    _, ny, nx = problem.grid.node_shape
+    inside, corner = (slice(2, 6), slice(2, 6)), (slice(0, 6), slice(2, 6))
+    assert not at_free_side(problem, inside)
+    for sides, free in (({}, True), ({"held": (True, False, False, False)}, False)):
+        assert at_free_side(layer(**sides), corner) == free
+    assert not at_free_side(layer(mirrors=(True, False, False, False)), corner)
+    assert not at_free_side(replace(problem, edges="roller"), corner)
+    assert at_free_side(problem, (slice(ny - 3, ny), slice(nx - 3, nx)))
 
 
 def test_held_columns_stay_where_they_are(solved):

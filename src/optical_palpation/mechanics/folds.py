@@ -13,7 +13,7 @@ unloaded area A0, with the energy
     W = k A0 max(0, c - A / A0)^3 / 3,    k = beta mu h,
 
 h the least extent of the element. Both what it takes up and how wide a crease is vanish with the
-elements. The cube lets it set in smoothly: stiffness that jumps costs a fifth more iterations.
+elements. The cube lets it set in smoothly: stiffness that jumps costs a third more iterations.
 Where the imprint is steep a face is upright without being folded: c is smaller there,
 by the cosine of the slope.
 """
