@@ -22,7 +22,7 @@ LAW = MooneyRivlin(2.23, 0.703)
 def pressed(x, y, mirrors):
     """A layer 0.5 mm thick under a ripple that is symmetric in x = 0 and y = 0; its sides roll."""
     px = np.linspace(-1.2, 1.2, 97)
-    loaded = 0.31 + 0.02 * np.cos(4 * px) * np.cos(3 * px)[:, None]
+    loaded = 0.33 + 0.02 * np.cos(4 * px) * np.cos(3 * px)[:, None]
     flat = np.full((97, 97), 0.5)
     grid = LayerGrid(x, y, depth_positions(0.25, True), np.full((y.size, x.size), 0.5))
     problem = LayerProblem(grid, Imprint(px, px, flat, loaded), LAW, (0.3, 0.2), mirrors=mirrors)
