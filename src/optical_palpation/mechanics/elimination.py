@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from .grid import LayerGrid, face_and_sides
+from .grid import LayerGrid, face_and_sides, rim_numbers
 from .problem import LayerProblem, LayerState, Sides
 
 Array = NDArray[np.float64]
@@ -99,18 +99,13 @@ def cut_out(problem: LayerProblem, state: LayerState, box: Box) -> tuple[LayerPr
     y0, y1, x0, x1 = (m and not cut for m, cut in zip(problem.mirrors, held, strict=True))
     mirrors: Sides = (y0, y1, x0, x1)
 
-    # which side node of the layer each one of the columns is, if it is one
-    count = len(grid.depth)
-    j, i = (index.reshape(count, -1)[0] for index in grid.side_nodes[1:])
-    number = np.full((ny, nx), -1)
-    number[j, i] = np.arange(j.size)
-    j, i = (index.reshape(count, -1)[0] for index in own.side_nodes[1:])
-    which = number[box][j, i]
+    # which of the layer's outermost columns each of these outermost ones is, or -1
+    which = rim_numbers((ny, nx))[box][rim_numbers(own.node_shape[1:]) >= 0]
 
     def at_contact(values: Array) -> Array:
         face, sides = face_and_sides(values, (ny, nx))
         leading = values.shape[:-1]
-        mine = sides.reshape(*leading, count, -1)[..., which]
+        mine = sides.reshape(*leading, len(grid.depth), -1)[..., which]
         mine[..., which < 0] = 0.0
         return np.concatenate(
             [field.reshape(*leading, -1) for field in (face[..., y, x], mine)], -1

@@ -107,8 +107,8 @@ def folds(problem: LayerProblem, state: LayerState) -> list[Folds]:
     Facets of glued faces are as they were.
     """
     grid = problem.grid
-    unloaded = np.diff(grid.y)[:, None] * np.diff(grid.x)
-    narrower = np.minimum(np.diff(grid.y)[:, None], np.diff(grid.x))
+    across, along = np.diff(grid.y), np.diff(grid.x)
+    unloaded = np.outer(across, along)
     heights = outermost_height(grid) * grid.typical_thickness
     found = []
     for face, k in ((WINDOW, 0), (SAMPLE, len(grid.depth) - 1)):
@@ -119,6 +119,7 @@ def folds(problem: LayerProblem, state: LayerState) -> list[Folds]:
             continue
         corners = np.stack([np.full((4, j.size), k), [j, j, j + 1, j + 1], [i, i + 1, i, i + 1]])
         x, y = np.stack([grid.x[corners[2]], grid.y[corners[1]]]) + state.u[:2, *corners]
+        least_extent = np.minimum(np.minimum(across[j], along[i]), heights[face])
         least, turning = np.full(j.size, CREASED), np.zeros((2, j.size))
         if face == SAMPLE:
             at = x.mean(0), y.mean(0), state.load
@@ -132,9 +133,7 @@ def folds(problem: LayerProblem, state: LayerState) -> list[Folds]:
                 corners=corners,
                 missing=np.maximum(least - (x_1 * y_2 - x_2 * y_1) / unloaded[j, i], 0.0),
                 gradient=np.stack([_across(y_2, y_1), -_across(x_2, x_1)], axis=1),
-                stiffness=STIFFNESS
-                * problem.shear_modulus
-                * np.minimum(narrower[j, i], heights[face]),
+                stiffness=STIFFNESS * problem.shear_modulus * least_extent,
                 unloaded=unloaded[j, i],
                 turning=turning,
             )

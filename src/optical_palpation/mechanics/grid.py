@@ -197,11 +197,17 @@ def _rim_nodes(shape: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.int
     return j, i
 
 
+def rim_numbers(shape: tuple[int, ...]) -> NDArray[np.intp]:
+    """Which of the outermost lateral nodes, row by row, each of ``shape`` is; -1 inside."""
+    number = np.full(shape, -1)
+    rim = _rim_nodes(shape)
+    number[rim] = np.arange(rim[0].size)
+    return number
+
+
 def _sides(shape: tuple[int, ...]) -> tuple[NDArray[np.intp], ...]:
     """Which of ``_rim_nodes`` are on each side: the lowest and highest in y, then in x."""
-    number = np.zeros(shape, np.intp)
-    j, i = _rim_nodes(shape)
-    number[j, i] = np.arange(j.size)
+    number = rim_numbers(shape)
     return number[0], number[-1], number[:, 0], number[:, -1]
 
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from .faces import add_blocks
 from .friction import Ahead, friction_direction, look_ahead, node_stiffness
-from .grid import LayerGrid
+from .grid import LayerGrid, rim_numbers
 
 if TYPE_CHECKING:
     from .body import Body
@@ -395,11 +395,8 @@ def _contact(
 
 def _numbers(grid: LayerGrid, indices: Indices) -> Indices:
     """Which of the ``LayerGrid.side_nodes`` have indices (k, j, i), (3, ...)."""
-    k, j, i = grid.side_nodes
-    around = np.zeros(grid.node_shape[1:], np.intp)
-    rim = j[k == 0], i[k == 0]
-    around[rim] = np.arange(rim[0].size)
-    return indices[0] * rim[0].size + around[indices[1], indices[2]]
+    number = rim_numbers(grid.node_shape[1:])
+    return indices[0] * (number.max() + 1) + number[indices[1], indices[2]]
 
 
 def _along_sides(
