@@ -65,6 +65,10 @@ _FAR = 0.1
 #: The same at a smaller load, from which it is then followed on that grid: what slides on mends its
 #: friction, but much that has turned round costs iterations.
 _FAR_BEFORE = 0.07
+#: How much larger the residual of linear systems may be when a layer of no more than ``FINE``
+#: elements is carried to another grid. Newton's method hardly takes more iterations for it; with
+#: more elements it may, and each of them costs as much as many of the linear solver.
+_ROUGHLY = 2.0
 #: Newton iterations in which the load must be followed on the finest grid, where that takes
 #: seconds, and on coarser ones without narrow elements. Hard layers come nearer all the time and
 #: want many; with narrow edges more of them gain little on coarse grids.
@@ -523,6 +527,8 @@ class _Nested:
         if moved and balance(level, moved).force_error < error:
             begin = moved
         wanted = self._wanted(level)
+        if self.problem.grid.n_elements <= FINE:
+            wanted = replace(wanted, linear=_ROUGHLY * wanted.linear)
         if level.grid.n_elements > FINE:  # the load path takes longer
             wanted = replace(wanted, nearly=NEARLY[0], lingers=1)
         if level.grid.n_elements > _HUGE:
