@@ -3,6 +3,7 @@
     python benchmarks/convergence.py                            125, 62.5 and 31.25 um
     python benchmarks/convergence.py --cases slab --sizes 0.25 0.125 0.0625
     python benchmarks/convergence.py --slip-lengths 4 2 1 0.5   in um, at 125 um
+    python benchmarks/convergence.py --strips                   125 to 15.625 um, some minutes
 
 Each halving of the elements is followed by the observed order, log2 of the ratio of two changes of
 the force, and the limit that Richardson's extrapolation gives with it. The imprint is the same on
@@ -13,6 +14,10 @@ sinusoid  that of docs/method.md, 5 x 5 x 0.5 mm, friction 0.3 and 0.05
 slab      flat, 5 x 5 x 0.477 mm, compressed by 42 %, friction 0.12 and 0.05
 coin      a map like that of a coin, friction 0.15 and 0.05
 stuck     flat, 3 x 3 x 0.5 mm, compressed by 10 %, glued on both faces
+
+Strips are those of the verification page, half a layer in plane strain loaded in steps of 4 %, in
+mN/mm. Force and limit are followed by how far they are from the force of NGSolve, whose mesh
+resolves the free side, and the last line of each says how far off that may be itself.
 """
 
 from __future__ import annotations
@@ -21,6 +26,7 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,11 +35,18 @@ import xarray as xr
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import computational_stress
+from optical_palpation.reproduce.verification.strips import (
+    TITLES,
+    read_reference,
+    solve_strip,
+    strip_force,
+)
 from optical_palpation.thickness import thickness_map
 from performance import SINUSOID, made_coin
 from performance_probe import Probe
 
 LAW = MooneyRivlin(2.23, 0.703)
+REFERENCES = Path(__file__).parents[1] / "tests" / "data" / "references"
 
 
 @dataclass(frozen=True)
@@ -106,6 +119,31 @@ def richardson(forces: list[float]) -> tuple[float, float]:
     return order, forces[-1] + fine / (ratio - 1) if ratio > 1 else np.nan
 
 
+def strips(names: list[str], sizes: list[float]) -> None:
+    """Print the forces of layers in plane strain on ever finer meshes, and of NGSolve."""
+    print("strip     size, um      force, mN/mm  Newton  seconds  order  limit")
+    for name in names:
+        reference = read_reference(REFERENCES / f"{name}.json")
+        forces: list[float] = []
+        for size in sizes:
+            start = time.perf_counter()
+            solution = solve_strip(reference, size)
+            seconds = time.perf_counter() - start
+            forces.append(strip_force(solution))
+            text = f"{name:9} {1e3 * size:8.5g}  {against(forces[-1], reference.force):>16}"
+            text += f"  {solution.newton_iterations:6}  {seconds:7.1f}"
+            if len(forces) > 2:
+                order, limit = richardson(forces)
+                text += f"  {order:5.2f}"
+                text += "" if np.isnan(limit) else f"  {against(limit, reference.force)}"
+            print(text, flush=True)
+        print(f"{name:9}  NGSolve  {reference.force:9.4g} +- {reference.error:.2%}", flush=True)
+
+
+def against(force: float, reference: float) -> str:
+    return f"{force:.4g} ({force / reference - 1:+.2%})"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -113,7 +151,11 @@ def main() -> None:
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--sizes", nargs="+", type=float, help="mm, each half of the one before")
     parser.add_argument("--slip-lengths", nargs="+", type=float, help="um")
+    parser.add_argument("--strips", nargs="*", choices=TITLES, help="in plane strain; all if none")
     chosen = parser.parse_args()
+    if chosen.strips is not None:
+        strips(chosen.strips or list(TITLES), chosen.sizes or [0.125, 0.0625, 0.03125, 0.015625])
+        return
     sizes = chosen.sizes or ([0.125] if chosen.slip_lengths else [0.125, 0.0625, 0.03125])
     solve(CASES["stuck"], 0.25)  # compiles
     print(
