@@ -35,6 +35,7 @@ import xarray as xr
 from optical_palpation.errors import ConvergenceError
 from optical_palpation.material import MooneyRivlin
 from optical_palpation.palpation import computational_stress
+from optical_palpation.reproduce.verification.layers import error
 from optical_palpation.reproduce.verification.strips import (
     TITLES,
     read_reference,
@@ -119,29 +120,61 @@ def richardson(forces: list[float]) -> tuple[float, float]:
     return order, forces[-1] + fine / (ratio - 1) if ratio > 1 else np.nan
 
 
-def strips(names: list[str], sizes: list[float]) -> None:
-    """Print the forces of layers in plane strain on ever finer meshes, and of NGSolve."""
-    print("strip     size, um      force, mN/mm  Newton  seconds  order  limit")
-    for name in names:
-        reference = read_reference(REFERENCES / f"{name}.json")
-        forces: list[float] = []
-        for size in sizes:
-            start = time.perf_counter()
-            solution = solve_strip(reference, size)
-            seconds = time.perf_counter() - start
-            forces.append(strip_force(solution))
-            text = f"{name:9} {1e3 * size:8.5g}  {against(forces[-1], reference.force):>16}"
-            text += f"  {solution.newton_iterations:6}  {seconds:7.1f}"
-            if len(forces) > 2:
-                order, limit = richardson(forces)
-                text += f"  {order:5.2f}"
-                text += "" if np.isnan(limit) else f"  {against(limit, reference.force)}"
-            print(text, flush=True)
-        print(f"{name:9}  NGSolve  {reference.force:9.4g} +- {reference.error:.2%}", flush=True)
+def refine(
+    row: str,
+    sizes: list[float],
+    solved: Callable[[float], tuple[float, str]],
+    told: Callable[[float], str],
+) -> None:
+    """Print what each mesh gives.
+
+    ``row`` is formatted with the size of the elements, um; ``solved`` returns the force and the
+    other columns, ``told`` what is said of a limit.
+    """
+    forces: list[float] = []
+    for size in sizes:
+        text = row.format(1e3 * size)
+        try:
+            force, columns = solved(size)
+        except ConvergenceError as failure:
+            print(f"{text}  {failure}", flush=True)
+            break
+        forces.append(force)
+        text += columns
+        if len(forces) > 2:
+            order, limit = richardson(forces)
+            text += f"  {order:5.2f}  {'none' if np.isnan(limit) else told(limit)}"
+        print(text, flush=True)
 
 
-def against(force: float, reference: float) -> str:
-    return f"{force:.4g} ({force / reference - 1:+.2%})"
+def case(name: str, sizes: list[float], slip: float) -> None:
+    """Print the forces of a case, mN; the slip length in mm."""
+
+    def solved(size: float) -> tuple[float, str]:
+        it = solve(CASES[name], size, slip)
+        return it["force"], (
+            f"  {it['force']:9.2f}  {100 * it['sides']:8.2f}  {it['newton']:6}"
+            f"  {it['krylov']:6}  {it['seconds']:7.1f}"
+        )
+
+    refine(f"{name:9} {{:8.5g}}  {1e3 * slip:8.3g}", sizes, solved, "{:.2f}".format)
+
+
+def strip(name: str, sizes: list[float]) -> None:
+    """Print the forces of a layer in plane strain, mN/mm, and that of NGSolve."""
+    reference = read_reference(REFERENCES / f"{name}.json")
+
+    def told(force: float) -> str:
+        return f"{force:.4g} ({error(force, reference.force)})"
+
+    def solved(size: float) -> tuple[float, str]:
+        start = time.perf_counter()
+        solution = solve_strip(reference, size)
+        seconds, force = time.perf_counter() - start, strip_force(solution)
+        return force, f"  {told(force):>16}  {solution.newton_iterations:6}  {seconds:7.1f}"
+
+    refine(f"{name:9} {{:8.5g}}", sizes, solved, told)
+    print(f"{name:9}  NGSolve  {reference.force:9.4g} +- {reference.error:.2%}", flush=True)
 
 
 def main() -> None:
@@ -154,7 +187,9 @@ def main() -> None:
     parser.add_argument("--strips", nargs="*", choices=TITLES, help="in plane strain; all if none")
     chosen = parser.parse_args()
     if chosen.strips is not None:
-        strips(chosen.strips or list(TITLES), chosen.sizes or [0.125, 0.0625, 0.03125, 0.015625])
+        print("strip     size, um      force, mN/mm  Newton  seconds  order  limit")
+        for name in chosen.strips or TITLES:
+            strip(name, chosen.sizes or [0.125, 0.0625, 0.03125, 0.015625])
         return
     sizes = chosen.sizes or ([0.125] if chosen.slip_lengths else [0.125, 0.0625, 0.03125])
     solve(CASES["stuck"], 0.25)  # compiles
@@ -162,25 +197,8 @@ def main() -> None:
         "case      size, um  slip, um  force, mN  sides, %  Newton  Krylov  seconds  order  limit"
     )
     for name in chosen.cases:
-        for slip in chosen.slip_lengths or [None]:
-            forces: list[float] = []
-            for size in sizes:
-                length = 2e-3 * CASES[name].unloaded if slip is None else 1e-3 * slip
-                text = f"{name:9} {1e3 * size:8.5g}  {1e3 * length:8.3g}"
-                try:
-                    it = solve(CASES[name], size, length)
-                except ConvergenceError as error:
-                    print(f"{text}  {error}", flush=True)
-                    break
-                forces.append(it["force"])
-                text += (
-                    f"  {it['force']:9.2f}  {100 * it['sides']:8.2f}  {it['newton']:6}"
-                    f"  {it['krylov']:6}  {it['seconds']:7.1f}"
-                )
-                if len(forces) > 2:
-                    order, limit = richardson(forces)
-                    text += f"  {order:5.2f}  {limit:.2f}"
-                print(text, flush=True)
+        for slip in chosen.slip_lengths or [2.0 * CASES[name].unloaded]:
+            case(name, sizes, 1e-3 * slip)
 
 
 if __name__ == "__main__":
