@@ -375,11 +375,8 @@ def test_glue_that_is_pulled_bounds_no_friction():
 
 @pytest.mark.slow
 def test_a_thin_layer_that_sticks_arrives():
-    """A layer 18 thicknesses wide, pressed by 45 % at friction 0.95 and 0.56, between rollers.
-
-    Without relaxation of the bound of friction it takes more than 200 Newton iterations.
-    """
-    case = replace(robustness.random_case(34), estimates=False, element_size=(0.14, 0.147, 0.103))
+    """A layer 18 thicknesses wide, pressed by 45 % at friction 0.95 and 0.56, between rollers."""
+    case = replace(robustness.random_case(34), estimates=False, element_size=(0.143, 0.147, 0.103))
     outcome = robustness.attempt(case, limit=1800)
     assert outcome.kind == "converged", outcome.text
     assert outcome.newton < 160

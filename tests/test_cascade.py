@@ -203,7 +203,7 @@ def test_what_cannot_be_carried_over_is_given_up_before_long(monkeypatch):
 
 def test_what_is_too_far_at_full_load_is_carried_over_before_that(monkeypatch):
     """Rough faces: the friction of a layer carried over at full load would be another one."""
-    problem = wavy()
+    problem = wavy(size=0.155)
 
     def solved(**options):
         solution = solve(problem, lambda level: expected_forces(level, LAW), **options)

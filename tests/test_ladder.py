@@ -323,8 +323,7 @@ def test_missing_values_must_be_filled_first():
 
 @pytest.mark.slow
 def test_a_load_that_is_not_reached_is_an_error_that_says_how_far_it_came(monkeypatch):
-    for name in "FOLLOWED", "_ITERATIONS":  # it would arrive after about 150 iterations
-        monkeypatch.setattr(cascade, name, 25)
+    monkeypatch.setattr(cascade, "_PATIENCE", 0.2)  # it arrives in less than two seconds
     loaded = relief(1, n=7, size=0.75)
     steps = loaded.copy(data=np.where(np.indices(loaded.shape).sum(0) % 2, 0.02, 0.49))
     with pytest.raises(ConvergenceError, match=r"loaded to [\d.]+ % only"):

@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 FOLLOWED, _CARRIED = 250, 80
 #: Increment of the load below which drag takes over.
 _SNAP = 0.02
+#: By how much an increment is at least and at most of the last one.
+_CHANGE = (0.5, 1.5)
 #: Nothing snaps before it is loaded: increment down to which the first load is made smaller.
 _TOUCH = 1e-3
 #: Failures in a row, at ever smaller increments, after which drag takes over, too.
@@ -47,6 +49,8 @@ SNAPS = 1
 #: after an easy step (a quarter of it is left at the full load), and four times as large, with half
 #: the increment, after a failure.
 _VISCOSITY, _LEAST, _MOST = 10.0, 0.01, 1e5
+#: Newton iterations up to which a step against drag is easy, and from which on a load is hard.
+_EASY, _HARD = 6, 10
 #: Least increment of the load against drag.
 _CREEP = 1e-5
 #: Drag, as a share of the contact forces, below which all is as good as at rest: at the full load,
@@ -222,16 +226,19 @@ class Beside(Protocol[Taken]):
 class StepControl:
     """Load increments, as fractions of the full load.
 
-    Long ones make the hill of friction of a flat layer between rough faces too high: 0.3 by several
-    percent, 0.15 by less than 0.1 % as a rule and by 3 % at the most. A load reached in at most
-    ``easy`` Newton iterations lets the next one grow, one that took at least ``hard`` makes it
-    smaller.
+    They are chosen so that a load takes about so many ``iterations`` of Newton's method, at most
+    the ``largest``. What takes more is loaded too far at once: of a flat layer between rough faces
+    the hill of friction becomes too high, by several percent in increments of 0.3.
     """
 
     first: float = 0.1
     largest: float = 0.15
-    easy: int = 6
-    hard: int = 10
+    iterations: float = 2.5
+
+    def after(self, step: float, iterations: int) -> float:
+        """Return the increment after one that took so many iterations."""
+        factor = np.clip(self.iterations / max(iterations, 1), *_CHANGE)
+        return max(_SNAP, min(self.largest, float(factor) * step))
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,7 +364,7 @@ class Path(Generic[AnyState]):
     def smooth(self) -> bool:
         """Whether every load was reached at the first try, and none of them was hard."""
         counts = [count for _, count in self.record]
-        return sum(counts) == self.spent and max(counts, default=0) < self.control.hard
+        return sum(counts) == self.spent and max(counts, default=0) < _HARD
 
     def follow(
         self,
@@ -442,10 +449,8 @@ class Path(Generic[AnyState]):
             failed = 0
             if beside:
                 beside.load(self.state)
-            if max(counts) <= self.control.easy:
-                step = min(self.control.largest, 1.5 * step)
-            elif max(counts) >= self.control.hard:
-                step = max(_SNAP, 0.5 * step)
+            if start > 0.0:  # contact that is made tells nothing of the next load
+                step = self.control.after(step, max(counts))
         return kept
 
     def settle(self) -> None:
@@ -623,7 +628,7 @@ class Path(Generic[AnyState]):
             share = self._force(drag, now.state) / max(_norm(forces), 1e-30)
             passed = moves and load < 1.0
             self._accept(loaded.remember(now) if passed else now.state, sum(counts))
-            if max(counts) <= self.control.easy:
+            if max(counts) <= _EASY:
                 step = min(self.control.largest, 1.5 * step)
                 viscosity = max(_LEAST, (0.5 if load < end else 0.25) * viscosity)
             if load < end:

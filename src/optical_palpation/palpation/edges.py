@@ -33,9 +33,9 @@ _ACROSS = 16
 _SIDE = 1 / 3
 #: Newton iterations in which each coarse solution must arrive; most take 10 to 20.
 _ALLOWED = 60
-#: Load steps, and how much further from equilibrium a coarse solution may be than that of a result.
-#: Ten times more still and solutions end on another branch.
-_CONTROL, _RELAXED = StepControl(first=0.25, largest=0.5), 100.0
+#: Load increments, longer ones than those of a result, and how much further from equilibrium a
+#: coarse solution may be than that is. Ten times more still and solutions end on another branch.
+_CONTROL, _RELAXED = StepControl(0.25, 0.5, iterations=6), 100.0
 
 
 @dataclass(frozen=True)
