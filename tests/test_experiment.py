@@ -77,6 +77,13 @@ def test_stack_of_one_material_is_compressed_uniformly():
     assert np.allclose(result.sample["cauchy_stress"].sel(tensor="zz"), stress, rtol=1e-3)
 
 
+def test_a_stack_that_is_hardly_pressed_is_as_stiff_as_its_modulus_says():
+    attrs = run_experiment(scene(compression=1e-4), threads=1).maps.attrs
+    force = -MATERIAL.uniaxial_stress(-1e-4 / 1.5) * 4.0
+    for face in ("window", "sample", "plate"):
+        assert attrs[f"{face}_force_mN"] == pytest.approx(force, rel=1e-3)
+
+
 def test_stiff_sample_and_soft_layer_are_springs_in_series():
     stiff = ({"kind": "box", "factor": 4.0},)
     result = run_experiment(scene(compression=0.01, sample__stiffness=stiff), threads=1)

@@ -99,6 +99,12 @@ def test_small_tension_is_small_compression_with_another_sign():
     assert_allclose(pulled, -pressed, rtol=0.02)
 
 
+def test_what_is_neither_pressed_nor_pulled_is_free_of_stress():
+    result = solved(thickness(THICKNESS))
+    assert result.maps.attrs["status"] == "converged"
+    assert_allclose(result.maps["contact_pressure"], 0.0, atol=1e-9 * MU)
+
+
 def test_a_sample_pulls_where_the_layer_is_thicker_than_before():
     result = solved(wavy(), size=0.0625)
     maps = result.maps

@@ -144,6 +144,19 @@ def test_error_of_a_layer_of_sloping_thickness_falls_at_second_order():
     assert abs(fine) < 0.005 * forces[-1]
 
 
+@pytest.mark.parametrize("compression", [1e-5, 1e-3, 0.02])
+def test_a_layer_that_is_hardly_pressed_is_as_stiff_as_its_modulus_says(compression):
+    """The smoothing of contact must not carry a part of a small load."""
+    x, thickness = np.linspace(0, 1, 11), 0.5 * (1 - compression)
+    loaded = xr.DataArray(np.full((11, 11), thickness), {"y": x, "x": x}, ("y", "x"))
+    law = MooneyRivlin(C10, C01)
+    result = computational_stress(
+        loaded.assign_attrs(units="mm"), 0.5, law, **SETTINGS | dict.fromkeys(HELD, 0.0)
+    )
+    exact = law.uniaxial_stress(-compression)
+    assert result.maps.attrs["sample_force_mN"] == pytest.approx(-exact, rel=1e-3)
+
+
 def relief(seed: int, n: int = 13, size: float = 1.5):
     rng = np.random.default_rng(seed)
     x = np.linspace(0, size, n)
@@ -158,7 +171,8 @@ def relief(seed: int, n: int = 13, size: float = 1.5):
 
 #: Without what the sides and the inputs may change, which takes twice as long as the solution.
 ALONE = {"edge_check": False, "input_errors": None}
-SETTINGS = {"window_friction": 0.2, "sample_friction": 0.05, "element_size": 0.125, **ALONE}
+HELD = {"window_friction": 0.2, "sample_friction": 0.05}
+SETTINGS = {**HELD, "element_size": 0.125, **ALONE}
 
 
 @pytest.mark.parametrize("edges", ["free", "padded", "roller"])

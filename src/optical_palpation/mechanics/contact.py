@@ -6,9 +6,10 @@ Complementarity of the two is written as one smooth equation per node,
 
     psi = N - S(N + c phi) = 0,    S(t) = (t + sqrt(t^2 + 4 eps^2)) / 2,
 
-which for eps -> 0 is N = max(0, N + c phi). N phi = -eps^2 / c: with the final eps of a thousandth
-of the shear modulus a pressed node keeps a gap of less than a nanometre. A hard active set instead
-of it flickers for ever on a few nodes at free edges.
+which for eps -> 0 is N = max(0, N + c phi). N phi = -eps^2 / c: with eps of a thousandth of the
+shear modulus a pressed node keeps a gap of less than a nanometre. A hard active set instead of it
+flickers for ever on a few nodes at free edges. Of a layer that is hardly pressed eps is smaller in
+proportion, or its force would be that of eps.
 
 Friction is that of ``friction``, mu N s along the slip. Where the imprint moves sideways, slip is
 relative to that point of it where the node was at the last load. The lateral equations of a surface
@@ -53,9 +54,11 @@ keep_kernels()
 
 Array = NDArray[np.float64]
 
-#: Smoothing eps of contact, as a pressure in units of the shear modulus; from the first iteration
-#: on, because the pressure of a layer with nowhere to go depends on it and would be sought twice.
-SMOOTHING = 1e-3
+#: Smoothing eps of contact, as a pressure in units of the shear modulus, of a layer that is
+#: compressed by at least so much, and what counts as no compression at all; from the first
+#: iteration on, because the pressure of a layer with nowhere to go depends on it and would be
+#: sought twice.
+_SMOOTHING, _COMPRESSED, _NOT_AT_ALL = 1e-3, 0.1, 1e-6
 #: A contact spring stiffer than this many times its scale c is a prescribed displacement.
 STIFF = 1e3
 #: Between rollers, where the layer resists with its bulk modulus, it must be stiffer than this many
@@ -202,6 +205,14 @@ def slip_coordinate(problem: LayerProblem, state: LayerState) -> Array:
     return state.slip + slip / problem.slip_length
 
 
+def smoothing(compression: float) -> float:
+    """Return eps, as a pressure in units of the shear modulus.
+
+    ``compression`` is the greatest of the layer at its full load, a share of its thickness.
+    """
+    return _SMOOTHING * float(np.clip(compression, _NOT_AT_ALL, _COMPRESSED)) / _COMPRESSED
+
+
 def smooth_maximum(t: Array, eps: Array) -> tuple[Array, Array]:
     """S(t) = (t + sqrt(t^2 + 4 eps^2)) / 2, and 1 - S'(t)."""
     root = np.sqrt(t**2 + 4 * eps**2)
@@ -234,7 +245,7 @@ def linearise(
     reaction = np.stack([force[2, 0], -force[2, -1]])
 
     c = surface_stiffness(problem.grid, problem.shear_modulus)
-    eps = SMOOTHING * c * problem.grid.spacing[0]
+    eps = smoothing(problem.compression) * c * problem.grid.spacing[0]
     t = normal + c * penetration
     s_value, other = smooth_maximum(t, eps)
     slope = 1 - other

@@ -81,8 +81,9 @@ class LinearSolver(Protocol):
         ...
 
 
-#: Pressure, in shear moduli, above which contact forces no longer tell how large errors may be.
-_PRESSURE = 4.0
+#: Pressure, in shear moduli, above which contact forces no longer tell how large errors may be, and
+#: the mean one below which there are none.
+_PRESSURE, _NO_PRESSURE = 4.0, 1e-9
 #: Elements beyond which a grid is fine. Some node of a rim snaps there for ever, so that what is
 #: out of balance counts by how much it changes the force that the layer carries; and a load path
 #: takes more than seconds.
@@ -265,7 +266,7 @@ def balance(
         min_jacobian=body.min_jacobian,
         columns=columns,
         imbalance=imbalance,
-        force_error=imbalance / max(_force_scale(problem, state), 1e-30),
+        force_error=imbalance / _force_scale(problem, state),
         volume_error=float(np.sqrt(np.mean((body.volume_residual / volume_ref) ** 2))),
     )
 
@@ -290,8 +291,10 @@ def _force_scale(problem: LayerProblem, state: LayerState) -> float:
     nowhere to go, the pressure is many times what shears it, and a small share of it is a large
     error of all else.
     """
-    most = _PRESSURE * problem.shear_modulus * problem.grid.areas
-    return float(np.linalg.norm(np.clip(state.normal_force, -most, most)))
+    unit = problem.shear_modulus * problem.grid.areas
+    most = _PRESSURE * unit
+    forces = np.linalg.norm(np.clip(state.normal_force, -most, most))
+    return max(float(forces), _NO_PRESSURE * float(np.linalg.norm(unit)))
 
 
 def _newton_step(

@@ -83,6 +83,15 @@ class LayerProblem:
         return self.law.bulk_modulus
 
     @cached_property
+    def compression(self) -> float:
+        """Greatest change of the distance from window to imprint, as a share of the thickness.
+
+        It grows only where a glued layer is pulled.
+        """
+        change = 1 - self.imprint.loaded / self.imprint.unloaded
+        return float(np.max(np.abs(change) if self.glued[SAMPLE] else change))
+
+    @cached_property
     def body(self) -> Body:
         """The layer's elements."""
         return Body(self.grid, self.law, curved_sides=self.curved_sides)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..body import ElementForces
-from ..contact import SMOOTHING
+from ..contact import smoothing
 from ..friction import Ahead
 from ..iteration import DAMPING, Direction, HardSystem, Tolerances, iterate, softness
 from ..path import Drag
@@ -71,7 +71,6 @@ class Balance:
 def balance(
     stack: Stack,
     state: State,
-    smoothing: float = SMOOTHING,
     drag: Drag[State] | None = None,
 ) -> Balance:
     """Evaluate equilibrium, incompressibility and contact of a state (see ``linearise``)."""
@@ -82,6 +81,8 @@ def balance(
     position = stack.position(state.u)
     sides = stack.side_contacts(state)
     bounds = [None] * len(state.contacts) if drag is None else drag.bound
+    height = stack.bodies[LAYER].grid.typical_thickness
+    eps = smoothing(stack.compression / height) * stack.shear_modulus
     terms = [
         linearise(
             contact.friction,
@@ -89,7 +90,7 @@ def balance(
             own,
             position,
             scale,
-            smoothing * stack.shear_modulus * area,
+            eps * area,
             stack.slip_length,
             bound,
         )
