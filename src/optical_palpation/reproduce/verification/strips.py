@@ -262,7 +262,7 @@ def _by_load_steps(
             "as by default, mN/mm",
             f"{reference.force:.4g}",
             f"{force:.4g} ({error(force, reference.force)})",
-            "long load steps make the hill of friction higher",
+            "shorter where a step takes more than two or three iterations",
         )
     ]
     if quick:
