@@ -24,6 +24,7 @@ from optical_palpation.mechanics.cascade import (
 )
 from optical_palpation.mechanics.iteration import TOLERANCES, Iterate, Tolerances, met
 from optical_palpation.mechanics.newton import Balance, balance
+from optical_palpation.mechanics.path import SLIDES
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.side_contact import side_contact
 from optical_palpation.mechanics.similar import Similar
@@ -61,6 +62,13 @@ from optical_palpation.thickness.frames import (
     typical_thickness,
 )
 from optical_palpation.thickness.initial import match_initial_thickness
+
+#: What to do about a layer that slides away, and about one that does not arrive otherwise.
+_HOLD_IT = "Give the friction that there is at window and sample, or roller edges"
+_TAME_IT = (
+    "Try a stronger imprint_smoothing, larger elements, less friction or other edges; and check "
+    "that the thickness map is one a layer of this material can take"
+)
 
 
 @explained
@@ -256,9 +264,8 @@ def computational_stress(
         instead = instead_of(asked, failure)
     except LoadNotReached as failure:
         raise ConvergenceError(
-            f"the layer was loaded {failure.how_far()}: {failure.reason}. Try a stronger "
-            "imprint_smoothing, larger elements, less friction or other edges; and check that the "
-            "thickness map is one a layer of this material can take"
+            f"the layer was loaded {failure.how_far()}: {failure.reason}. "
+            + (_HOLD_IT if failure.reason == SLIDES else _TAME_IT)
         ) from None
 
     now = checked(solution)
@@ -513,6 +520,5 @@ def _check_cover(stress: xr.DataArray, loaded: xr.DataArray, state: LayerState) 
         moved = float(np.hypot(*state.u[:2].mean((1, 2, 3))))
         raise ConvergenceError(
             f"nothing holds the layer sideways: it slid by {moved:.2g} mm and covers only "
-            f"{covered:.0%} of the field of view. Give the friction that there is at window and "
-            "sample, or roller edges"
+            f"{covered:.0%} of the field of view. {_HOLD_IT}"
         )
