@@ -268,7 +268,10 @@ def test_command_and_study_say_glued(tmp_path, monkeypatch, run):
         assert (maps["contact_state"] == ContactState.GLUED).all()
         assert maps.attrs["sample_contact"] == "glued"
     assert_allclose(one["axial_stress"], other["axial_stress"], rtol=1e-6)
-    assert (one.attrs["slip_length_mm"], other.attrs["slip_length_mm"]) == (0.001, 0.002)
+    change = abs(1 - values / THICKNESS)  # less where the imprint is smoothed
+    most = one.attrs["slip_length_mm"] / 0.001 * 0.1
+    assert float(change.mean()) < most < float(change.max())
+    assert other.attrs["slip_length_mm"] == 0.002
     assert '"3": "glued"' in Path("s-results/report.html").read_text().replace('"3":"', '"3": "')
     lines = reproducing_lines(read_study("s.toml"))
     assert "window_friction='glued', sample_friction='glued', slip_length=0.002" in lines

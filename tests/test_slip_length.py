@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from optical_palpation.errors import InputError
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.palpation import computational_stress
+from optical_palpation.palpation import ContactState, computational_stress
 
 
 def relief(scale: float = 1.0) -> xr.DataArray:
@@ -66,6 +66,31 @@ def test_friction_approaches_coulombs_law_as_the_slip_length_falls():
 def test_it_is_recorded_and_by_default_in_proportion_to_the_thickness():
     result = solved()
     assert result.maps.attrs["slip_length_mm"] == result.problem.slip_length == 0.001
+
+
+def test_what_is_hardly_pressed_slips_in_proportion():
+    """All is linear then, and friction at its bound all the same."""
+
+    def rubbed(compression):
+        loaded = 0.5 - compression * (0.5 - relief())
+        return computational_stress(
+            loaded.assign_attrs(units="mm"),
+            0.5,
+            MooneyRivlin(2.23, 0.703),
+            window_friction=0.2,
+            sample_friction=0.1,
+            element_size=0.1,
+            edge_check=False,
+            input_errors=None,
+        ).maps
+
+    little, less = rubbed(1e-2), rubbed(1e-4)
+    assert less.attrs["slip_length_mm"] == pytest.approx(0.01 * little.attrs["slip_length_mm"])
+    assert less.attrs["sample_force_mN"] == pytest.approx(
+        0.01 * little.attrs["sample_force_mN"], rel=5e-3
+    )
+    slips = (maps["contact_state"] == ContactState.SLIP for maps in (little, less))
+    assert all(share.mean() > 0.5 for share in slips)
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1e-3, np.nan, "1 um", 1.0, 1e-7])

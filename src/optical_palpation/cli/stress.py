@@ -201,7 +201,8 @@ def stress(
         float | None,
         typer.Option(
             metavar="NUMBER",
-            help="Slip over which friction builds up, mm; by default 0.002 of the thickness.",
+            help="Slip over which friction builds up, mm; by default 0.002 of the thickness, in "
+            "proportion less where that is compressed by less than 10 %.",
         ),
     ] = None,
     input_error: Annotated[

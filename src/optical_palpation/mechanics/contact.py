@@ -54,11 +54,12 @@ keep_kernels()
 
 Array = NDArray[np.float64]
 
-#: Smoothing eps of contact, as a pressure in units of the shear modulus, of a layer that is
-#: compressed by at least so much, and what counts as no compression at all; from the first
-#: iteration on, because the pressure of a layer with nowhere to go depends on it and would be
-#: sought twice.
-_SMOOTHING, _COMPRESSED, _NOT_AT_ALL = 1e-3, 0.1, 1e-6
+#: Smoothing eps of contact, as a pressure in units of the shear modulus; from the first iteration
+#: on, because the pressure of a layer with nowhere to go depends on it and would be sought twice.
+_SMOOTHING = 1e-3
+#: Compression below which contact and friction are the sharper the less there is, and what counts
+#: as none at all.
+_COMPRESSED, _NOT_AT_ALL = 0.1, 1e-6
 #: A contact spring stiffer than this many times its scale c is a prescribed displacement.
 STIFF = 1e3
 #: Between rollers, where the layer resists with its bulk modulus, it must be stiffer than this many
@@ -205,12 +206,18 @@ def slip_coordinate(problem: LayerProblem, state: LayerState) -> Array:
     return state.slip + slip / problem.slip_length
 
 
-def smoothing(compression: float) -> float:
-    """Return eps, as a pressure in units of the shear modulus.
+def softness_of(compression: float) -> float:
+    """How smooth the laws of contact and friction are, as a share of what they may be at most.
 
-    ``compression`` is the greatest of the layer at its full load, a share of its thickness.
+    ``compression`` is the greatest of the layer at its full load, a share of its thickness. Where
+    that is small the smoothing would be as large as pressure and slip themselves.
     """
-    return _SMOOTHING * float(np.clip(compression, _NOT_AT_ALL, _COMPRESSED)) / _COMPRESSED
+    return float(np.clip(compression, _NOT_AT_ALL, _COMPRESSED)) / _COMPRESSED
+
+
+def smoothing(compression: float) -> float:
+    """Return eps, as a pressure in units of the shear modulus."""
+    return _SMOOTHING * softness_of(compression)
 
 
 def smooth_maximum(t: Array, eps: Array) -> tuple[Array, Array]:

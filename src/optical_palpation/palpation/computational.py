@@ -35,7 +35,6 @@ from optical_palpation.palpation.input_errors import INPUT_ERRORS, InputErrors, 
 from optical_palpation.palpation.memory import check_memory
 from optical_palpation.palpation.mesh_error import MeshError, Quantities, mesh_error
 from optical_palpation.palpation.meshing import (
-    SLIP_LENGTH,
     SLIP_LENGTHS,
     Edges,
     Hold,
@@ -128,7 +127,8 @@ def computational_stress(
         lateral element size, the finest relief that the elements can follow.
     slip_length
         Slip in mm over which friction builds up to 0.84 of its bound (the smoothing of Coulomb's
-        law); by default 0.002 of the thickness. `docs/which-friction.md` says what it changes.
+        law); by default 0.002 of the thickness, in proportion less where the compression is
+        below 10 % everywhere. `docs/which-friction.md` says what it changes.
     solver
         ``multigrid``, ``direct`` (sparse LU, for small grids) or ``auto``.
     threads
@@ -225,7 +225,7 @@ def computational_stress(
     motion = None if sample_motion is None else match_sample_motion(sample_motion, loaded)
     algebraic = stress_of_pixels(loaded, initial, material, glued=glued["sample"])
     thickness = typical_thickness(initial)
-    slip_length = _slip_length(slip_length, thickness)
+    _check_slip_length(slip_length, thickness)
     if input_errors is not None:
         input_errors.check_thickness(thickness)
     sizes = element_sizes(element_size, loaded, thickness)
@@ -381,10 +381,9 @@ def _check_numbers(
         raise InputError(f"threads must be a whole number of at least 1, not {threads!r}")
 
 
-def _slip_length(given: float | None, thickness: float) -> float:
-    """Return the slip length, mm, by default in proportion to the thickness."""
+def _check_slip_length(given: float | None, thickness: float) -> None:
     if given is None:
-        return SLIP_LENGTH * thickness
+        return
     if not (_is_number(given) and given > 0):
         raise InputError(f"slip_length must be a positive number of mm, not {given!r}")
     low, high = (share * thickness for share in SLIP_LENGTHS)
@@ -394,7 +393,6 @@ def _slip_length(given: float | None, thickness: float) -> float:
             f"{low:.3g} mm, below which friction flickers, and {high:.3g} mm, above which it is no "
             "friction any more (it is in mm)"
         )
-    return float(given)
 
 
 def _is_number(value: Any) -> bool:

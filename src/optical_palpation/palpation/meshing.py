@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.material import Law
+from optical_palpation.mechanics.contact import softness_of
 from optical_palpation.mechanics.grid import (
     LayerGrid,
     depth_positions,
@@ -26,8 +28,8 @@ Edges = Literal["free", "roller", "padded"]
 #: What holds a face of the layer: Coulomb friction of this coefficient, or glue.
 Hold = float | Literal["glued"]
 
-#: Slip length of the friction law, in thicknesses: by default (1 um on a layer of 0.5 mm), and
-#: between which bounds.
+#: Slip length of the friction law, in thicknesses: by default (1 um on a layer of 0.5 mm) where it
+#: is compressed by a tenth or more, and between which bounds.
 SLIP_LENGTH, SLIP_LENGTHS = 2e-3, (1e-5, 0.05)
 #: Times by which the pixels of an imprint are finer than those of an uneven map are in the mean, at
 #: most.
@@ -45,10 +47,14 @@ def layer_problem(
     sizes: tuple[float, float, float],
     edges: Edges,
     smoothing: float,
-    slip_length: float,
+    slip_length: float | None,
     similar: Similar | None = None,
 ) -> LayerProblem:
-    """Mesh the layer and make the imprint; ``held`` says what holds ``window`` and ``sample``."""
+    """Mesh the layer and make the imprint; ``held`` says what holds ``window`` and ``sample``.
+
+    Without ``slip_length`` that is ``SLIP_LENGTH`` thicknesses, of a layer that is hardly pressed
+    in proportion less (``softness_of``).
+    """
     x0, x1, y0, y1 = layer_extent_of(loaded)
     thickness = typical_thickness(initial)
     beyond = edges == "free"
@@ -57,15 +63,17 @@ def layer_problem(
     unloaded = imprint.evaluate(*np.meshgrid(nodes_x, nodes_y), 0.0)[0]
     glued = held["window"] == "glued", held["sample"] == "glued"
     window, sample = (0.0 if hold == "glued" else hold for hold in (held["window"], held["sample"]))
-    return LayerProblem(
+    problem = LayerProblem(
         grid=LayerGrid(nodes_x, nodes_y, depth, unloaded),
         imprint=imprint,
         law=material,
         friction=(window, sample),
         edges="roller" if edges == "roller" else "free",
-        slip_length=slip_length,
         glued=glued,
     )
+    if slip_length is None:
+        slip_length = SLIP_LENGTH * thickness * softness_of(problem.compression)
+    return replace(problem, slip_length=slip_length)
 
 
 def imprint_of(

@@ -13,6 +13,7 @@ from optical_palpation.errors import InputError
 from optical_palpation.material import Law
 
 from ..body import Body
+from ..contact import softness_of
 from ..grid import LayerGrid, node_positions
 from ..side_contact import Facets, PlaneSides
 from .problem import WINDOW, Stack, column_forces
@@ -25,7 +26,8 @@ Field = Callable[[Array, Array], Array]
 #: Points for each element at which the highest one is sought.
 _BETWEEN = 8
 _GROWTH_OUTSIDE = 1.3  # of the layer's elements beyond the sample
-#: Slip over which friction builds up, as a share of the layer's thickness.
+#: Slip over which friction builds up, as a share of the layer's thickness, if that is pressed by a
+#: tenth of it or more.
 _SLIP_LENGTH = 2e-3
 
 
@@ -165,7 +167,7 @@ def assemble(
         areas=(window.ravel(), interface.ravel(), base.ravel()),
         plate=plate,
         compression=blocks.travel,
-        slip_length=_SLIP_LENGTH * typical,
+        slip_length=_SLIP_LENGTH * typical * softness_of(blocks.travel / typical),
     )
     pressure = column_forces(stack)[WINDOW].sum() / window.sum()
     on_layer, on_sample = (
