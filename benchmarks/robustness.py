@@ -4,6 +4,7 @@
     python benchmarks/robustness.py --json failures.json  the same; what did not converge to a file
     python benchmarks/robustness.py --replay 17           one of them, with its progress
     python benchmarks/robustness.py --increment 0.05      does the force depend on the increments?
+    python benchmarks/robustness.py --press 0.05          the same maps, hardly pressed
 
 A map is rough, stepped, wavy, tilted, flat or bumpy, or shows a sphere, needles or a checkerboard
 of punches; it may have holes that the sample does not reach, and presses the layer by up to half of
@@ -411,11 +412,17 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--solver", default="auto", choices=["auto", "multigrid", "direct"])
     parser.add_argument("--increment", type=float, help="of the load, in a second solution")
+    parser.add_argument("--press", type=float, default=1.0, help="share of each compression")
     parser.add_argument("--json", type=Path, help="file for the maps that did not converge")
     parser.add_argument("--replay", type=int, help="solve this map alone, in sight")
     arguments = parser.parse_args()
+
+    def pressed(number: int) -> Case:
+        case = random_case(number)
+        return replace(case, compression=arguments.press * case.compression)
+
     if arguments.replay is not None:
-        case = random_case(arguments.replay)
+        case = pressed(arguments.replay)
         print(case)
         outcome = attempt(case, arguments.solver, arguments.limit, print)
         print(
@@ -423,7 +430,7 @@ def main() -> None:
         )
         sys.exit(not outcome.allowed)
     attempt(replace(random_case(0), compression=0.01))  # compiles, once for all
-    cases = [random_case(arguments.first + n) for n in range(arguments.maps)]
+    cases = [pressed(arguments.first + n) for n in range(arguments.maps)]
     # one thread each, the libraries' own included, or the maps would stand in each other's way
     os.environ |= {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     if arguments.increment:
