@@ -61,6 +61,12 @@ class Imprint:
     def _lowest(self) -> tuple[float, float]:
         return float(np.min(self.unloaded)), float(np.min(self.loaded))
 
+    @cached_property
+    def strains(self) -> tuple[float, float]:
+        """Least and greatest compression at full load, as shares of the thickness."""
+        strain = 1 - self.loaded / self.unloaded
+        return float(strain.min()), float(strain.max())
+
     def lowest(self, load: float) -> float:
         """A height that the surface stays above, but for the splines' overshoot, mm."""
         unloaded, loaded = self._lowest

@@ -82,14 +82,11 @@ class LayerProblem:
         """Bulk modulus K, kPa."""
         return self.law.bulk_modulus
 
-    @cached_property
+    @property
     def compression(self) -> float:
-        """Greatest change of the distance from window to imprint, as a share of the thickness.
-
-        It grows only where a glued layer is pulled.
-        """
-        change = 1 - self.imprint.loaded / self.imprint.unloaded
-        return float(np.max(np.abs(change) if self.glued[SAMPLE] else change))
+        """How far the layer is compressed at most, or pulled if it is glued, of its thickness."""
+        pulled, pressed = self.imprint.strains
+        return max(pressed, -pulled if self.glued[SAMPLE] else 0.0)
 
     @cached_property
     def body(self) -> Body:
