@@ -340,28 +340,6 @@ def test_what_moves_as_a_whole_until_steps_fail_is_said_to_slide(monkeypatch, sh
         disturbed(result).settle()
 
 
-@pytest.mark.parametrize(("slower", "steps"), [(1.0, path._SLIDING + 1), (0.9, 16)])
-def test_what_is_driven_on_slides_at_once_and_what_slows_down_may_come_to_rest(
-    monkeypatch, slower, steps
-):
-    result = tilted(0.3)
-    accepted = list[int]()
-
-    def reach(way, trial, wanted, drag=None):
-        if drag is None:
-            raise NotConverged("Newton's method stagnates")
-        accepted.append(9)  # iterations: not so few that there would be less drag
-        moved = trial.u.copy()
-        moved[0] += 0.01 * slower ** len(accepted)
-        return balance(result.problem, replace(trial, u=moved)), 9
-
-    monkeypatch.setattr(path.Path, "_reach", reach)
-    monkeypatch.setattr(path, "_HELD", 15)
-    with pytest.raises(path.LoadNotReached, match="nothing holds the layer sideways"):
-        disturbed(result).settle()
-    assert len(accepted) == steps
-
-
 @pytest.mark.parametrize(
     ("slope", "left"), [(-3.0, 0.0), (-1.0, 0.0), (0.4, 0.0), (0.9, 0.95 * 0.8**3)]
 )

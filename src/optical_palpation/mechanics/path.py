@@ -67,8 +67,8 @@ _PATIENCE, _FLICKERS = 5, 4
 #: Share of the contact forces out of balance below which Newton's method is tried without drag.
 _NEAR = 0.1
 #: Steps in which fully loaded bodies must come to rest, and after which those that still move as a
-#: whole slide; at once, if more than a share of what drives them is left since so many steps.
-_HELD, _SLIDING, _DRIVEN = 50, 10, 0.5
+#: whole slide.
+_HELD, _SLIDING = 50, 10
 #: Why they do not.
 SLIDES = "nothing holds the layer sideways: it slides from under what presses it"
 _RESTLESS = "the layer does not come to rest"
@@ -601,7 +601,6 @@ class Path(Generic[AnyState]):
         loaded = self.loaded
         viscosity, wanted, near = _VISCOSITY, self.intermediate, np.inf
         held, left = 0, np.inf
-        drives = list[float]()  # of steps in a row in which all moves as a whole
         bound = Bound(loaded.contact_forces(self.state), _AGAINST_DRAG)
         while True:
             load = min(end, self.state.load + step)
@@ -647,10 +646,6 @@ class Path(Generic[AnyState]):
             at_rest = share < _STILL or rest.distance < NEARLY[0]
             will_do = at_rest and volume_nearly_met(rest, self.tolerances)
             left = rest.force_error if will_do else np.inf
-            drives = [*drives, share] if self._together() else []
-            driven = len(drives) > _SLIDING and share > _DRIVEN * drives[-1 - _SLIDING]
-            if driven and not at_rest:
-                raise self._stopped(SLIDES)
             if held > _HELD:
                 if left < NEARLY[2]:
                     return
