@@ -206,7 +206,7 @@ def slip_coordinate(problem: LayerProblem, state: LayerState) -> Array:
     return state.slip + slip / problem.slip_length
 
 
-def softness_of(compression: float) -> float:
+def smoothness(compression: float) -> float:
     """How smooth the laws of contact and friction are, as a share of what they may be at most.
 
     ``compression`` is the greatest of the layer at its full load, a share of its thickness. Where
@@ -217,7 +217,7 @@ def softness_of(compression: float) -> float:
 
 def smoothing(compression: float) -> float:
     """Return eps, as a pressure in units of the shear modulus."""
-    return _SMOOTHING * softness_of(compression)
+    return _SMOOTHING * smoothness(compression)
 
 
 def smooth_maximum(t: Array, eps: Array) -> tuple[Array, Array]:

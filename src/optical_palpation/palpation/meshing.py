@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from optical_palpation.material import Law
-from optical_palpation.mechanics.contact import softness_of
+from optical_palpation.mechanics.contact import smoothness
 from optical_palpation.mechanics.grid import (
     LayerGrid,
     depth_positions,
@@ -53,7 +53,7 @@ def layer_problem(
     """Mesh the layer and make the imprint; ``held`` says what holds ``window`` and ``sample``.
 
     Without ``slip_length`` that is ``SLIP_LENGTH`` thicknesses, of a layer that is hardly pressed
-    in proportion less (``softness_of``).
+    in proportion less (``smoothness``).
     """
     x0, x1, y0, y1 = layer_extent_of(loaded)
     thickness = typical_thickness(initial)
@@ -72,8 +72,8 @@ def layer_problem(
         glued=glued,
     )
     if slip_length is None:
-        slip_length = SLIP_LENGTH * thickness * softness_of(problem.compression)
-    return replace(problem, slip_length=slip_length)
+        slip_length = SLIP_LENGTH * thickness * smoothness(problem.compression)
+    return replace(problem, slip_length=float(slip_length))
 
 
 def imprint_of(

@@ -13,7 +13,7 @@ from optical_palpation.errors import InputError
 from optical_palpation.material import Law
 
 from ..body import Body
-from ..contact import softness_of
+from ..contact import smoothness
 from ..grid import LayerGrid, node_positions
 from ..side_contact import Facets, PlaneSides
 from .problem import WINDOW, Stack, column_forces
@@ -167,7 +167,7 @@ def assemble(
         areas=(window.ravel(), interface.ravel(), base.ravel()),
         plate=plate,
         compression=blocks.travel,
-        slip_length=_SLIP_LENGTH * typical * softness_of(blocks.travel / typical),
+        slip_length=_SLIP_LENGTH * typical * smoothness(blocks.travel / typical),
     )
     pressure = column_forces(stack)[WINDOW].sum() / window.sum()
     on_layer, on_sample = (
