@@ -418,7 +418,7 @@ def test_what_was_not_measured_counts_for_nothing(columns):
 def test_a_model_that_does_not_fit_is_said(columns, wrong):
     """What is known of the sample is off by these factors, which no stiffness makes good.
 
-    A compression that is off by 1.3 or more is made good by a softer sample.
+    A compression that is off by 1.2 or more is made good by a softer sample.
     """
     of = known(columns)
     stated = {key: factor * getattr(of, key) for key, factor in wrong.items()}
