@@ -50,9 +50,37 @@ def tilted(friction, element_size=0.25, **options):
     return pressed(np.tile(TILTED, (41, 1)), friction, element_size, **options)
 
 
-def test_a_layer_that_nothing_holds_slides_away_and_is_no_result():
+def under_sawteeth(teeth, compression):
+    """Press a padded layer without friction by slopes that all rise towards +x."""
+    height = 0.5 * (1 - compression * (0.3 + 0.7 * (AXIS / 2 * teeth % 1.0)))
+    return pressed(np.tile(height, (41, 1)), 0.0, 0.2, edges="padded")
+
+
+@pytest.fixture
+def loads(monkeypatch):
+    """The loads of all equilibria that are reached, as they are."""
+    reached = []
+    accept = path.Path._accept
+
+    def counted(self, state, iterations):
+        reached.append(state.load)
+        accept(self, state, iterations)
+
+    monkeypatch.setattr(path.Path, "_accept", counted)
+    return reached
+
+
+def test_a_layer_that_nothing_holds_slides_away_and_is_no_result(loads):
     with pytest.raises(ConvergenceError, match="nothing holds the layer sideways"):
         tilted(0.0)
+    assert max(loads, default=0.0) < 0.5  # it has left its field of view long before the full load
+
+
+def test_a_layer_that_slides_until_its_time_is_up_is_said_to_slide(monkeypatch, loads):
+    monkeypatch.setattr(_Nested, "_enough", lambda *given: loads.count(1.0) > 15)
+    with pytest.raises(ConvergenceError, match="nothing holds the layer sideways"):
+        under_sawteeth(2, 0.1)
+    assert 15 < loads.count(1.0) < 20
 
 
 def test_a_full_load_without_equilibrium_is_not_called_a_part_of_it(monkeypatch):
@@ -158,10 +186,22 @@ class Touched:
         return replace(self, load=load)
 
 
-class TouchesGently:
-    """In equilibrium wherever the first load is small."""
+class Stays:
+    """Does not move sideways."""
 
     stiffness = 1.0
+    volumes = np.ones(1)
+    lengths = (1.0, 1.0)
+
+    def displacement(self, state):
+        return np.zeros((3, 1))
+
+    def remember(self, now):
+        return now.state
+
+
+class TouchesGently(Stays):
+    """In equilibrium wherever the first load is small."""
 
     def __init__(self, largest):
         self.largest, self.tried, self.reached = largest, [], [0.0]
@@ -172,9 +212,6 @@ class TouchesGently:
             raise NotConverged("too far")
         self.reached.append(trial.load)
         return SimpleNamespace(state=trial), 3
-
-    def remember(self, now):
-        return now.state
 
 
 def test_before_anything_is_loaded_nothing_snaps():
@@ -187,10 +224,8 @@ def test_before_anything_is_loaded_nothing_snaps():
     assert loaded.reached[1] <= 0.003
 
 
-class Flickers:
+class Flickers(Stays):
     """Its last iterates flicker about an equilibrium, at a distance ``left``."""
-
-    stiffness = 1.0
 
     def __init__(self, left, swollen=0.0):
         self.left, self.swollen, self.drags = left, swollen, 0
@@ -202,9 +237,6 @@ class Flickers:
             failure.nearest = self.balance(trial), 9
             raise failure
         return SimpleNamespace(state=trial), 3
-
-    def remember(self, now):
-        return now.state
 
     def contact_forces(self, state):
         return []

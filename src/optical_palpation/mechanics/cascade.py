@@ -36,7 +36,17 @@ from .newton import (
     balance,
     equilibrate,
 )
-from .path import FOLLOWED, NEARLY, SLIDES, SNAPS, Guide, LoadNotReached, Path, StepControl
+from .path import (
+    FOLLOWED,
+    NEARLY,
+    SLID_AWAY,
+    SLIDES,
+    SNAPS,
+    Guide,
+    LoadNotReached,
+    Path,
+    StepControl,
+)
 from .problem import LayerProblem, LayerState
 from .similar import Similar
 from .untangle import untangled
@@ -407,6 +417,8 @@ class _Nested:
             try:
                 state = state or self._loaded(level, carried)
             except LoadNotReached as failure:
+                if failure.reason == SLID_AWAY:  # as it does on other elements
+                    raise
                 self._remember(failure)
                 if self._may_widen and failure.reason != SLIDES:
                     solution = self._by_wider_edges()

@@ -102,6 +102,11 @@ class LayerGrid:
         )
 
     @property
+    def lengths(self) -> tuple[float, float]:
+        """Lengths of the layer along x and y, mm."""
+        return float(self.x[-1] - self.x[0]), float(self.y[-1] - self.y[0])
+
+    @property
     def edge_widths(self) -> tuple[float, float]:
         """Widths of the outermost elements (y, x), mm."""
         return float(self.y[1] - self.y[0]), float(self.x[1] - self.x[0])

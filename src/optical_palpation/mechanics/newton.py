@@ -548,7 +548,7 @@ def _stiffness(problem: LayerProblem) -> float:
     """Shear modulus per square of the thickness, of a part of its least extent, kPa / mm^2."""
     grid, least = problem.grid, problem.grid.typical_thickness
     if any(problem.held):
-        least = min(least, grid.x[-1] - grid.x[0], grid.y[-1] - grid.y[0])
+        least = min(least, *grid.lengths)
     return problem.shear_modulus / least**2
 
 
@@ -569,6 +569,11 @@ class LoadedLayer:
     def volumes(self) -> Array:
         """Volume of each node, (n), mm^3."""
         return self.problem.grid.node_volumes.ravel()
+
+    @property
+    def lengths(self) -> tuple[float, float]:
+        """Lengths along x and y, mm."""
+        return self.problem.grid.lengths
 
     def resistance(self, moved: Array) -> Array:
         """Forces, mN, of unit resistance (1 kPa / mm^2) to displacements, mm; both (3, n)."""

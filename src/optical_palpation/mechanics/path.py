@@ -69,8 +69,11 @@ _NEAR = 0.1
 #: Steps in which fully loaded bodies must come to rest, and after which those that still move as a
 #: whole slide.
 _HELD, _SLIDING = 50, 10
+#: Share of where they were that bodies still cover, at least; what covers less has slid away.
+COVERED = 0.5
 #: Why they do not.
 SLIDES = "nothing holds the layer sideways: it slides from under what presses it"
+SLID_AWAY = "nothing holds the layer sideways: it has slid out of most of the field of view"
 _RESTLESS = "the layer does not come to rest"
 #: Why a path is given up that might lead there.
 TOO_LONG = "it took too long"
@@ -177,6 +180,11 @@ class Loaded(Protocol[AnyState]):
     @property
     def volumes(self) -> Array:
         """Volume of each node, (n), mm^3."""
+        ...
+
+    @property
+    def lengths(self) -> tuple[float, float]:
+        """Lengths along x and y, mm."""
         ...
 
     def resistance(self, moved: Array) -> Array:
@@ -441,6 +449,8 @@ class Path(Generic[AnyState]):
                 if self.state.load in stops:
                     kept.append(self.state)
                 continue
+            if self._gone(now.state):
+                raise self._stopped(SLID_AWAY)
             if load in stops:
                 kept.append(now.state)
             if tried and sum(counts) > 0 and self.before is not None:
@@ -602,6 +612,11 @@ class Path(Generic[AnyState]):
         viscosity, wanted, near = _VISCOSITY, self.intermediate, np.inf
         held, left = 0, np.inf
         bound = Bound(loaded.contact_forces(self.state), _AGAINST_DRAG)
+
+        def stopped(reason: object) -> LoadNotReached:
+            slides = reason != SLID_AWAY and held > _SLIDING and self._together()
+            return self._stopped(SLIDES if slides else reason)
+
         while True:
             load = min(end, self.state.load + step)
             drag = Drag(viscosity * loaded.stiffness, self.state, bound.forces)
@@ -614,6 +629,8 @@ class Path(Generic[AnyState]):
                 else:
                     now, count = self._reach(trial, wanted, drag)
                     counts = [count]
+                if self._gone(now.state):
+                    raise self._stopped(SLID_AWAY)
             except NotConverged as failure:
                 viscosity *= 4.0
                 step *= 0.5
@@ -621,9 +638,10 @@ class Path(Generic[AnyState]):
                 if left < NEARLY[1 + over]:
                     return
                 if over:
-                    slides = held > _SLIDING and self._together()
-                    raise self._stopped(SLIDES if slides else failure) from None
+                    raise stopped(failure) from None
                 continue
+            except LoadNotReached as failure:  # or took too long
+                raise stopped(failure.reason) from None
             forces = loaded.contact_forces(now.state)
             share = self._force(drag, now.state) / max(_norm(forces), 1e-30)
             passed = moves and load < 1.0
@@ -649,7 +667,7 @@ class Path(Generic[AnyState]):
             if held > _HELD:
                 if left < NEARLY[2]:
                     return
-                raise self._stopped(SLIDES if self._together() else _RESTLESS)
+                raise stopped(_RESTLESS)
             if share < _REST[0] and rest.force_error < min(near, _NEAR):
                 near = 0.1 * rest.force_error
                 try:
@@ -724,6 +742,13 @@ class Path(Generic[AnyState]):
 
     def _stopped(self, reason: object) -> LoadNotReached:
         return LoadNotReached(self.state.load, str(reason))
+
+    def _gone(self, state: AnyState) -> bool:
+        """Whether the bodies slid out of most of the field that they covered."""
+        weights = self.loaded.volumes / self.loaded.volumes.sum()
+        moved = np.abs((self.loaded.displacement(state)[:2] * weights).sum(1))
+        left = np.maximum(0.0, 1.0 - moved / self.loaded.lengths)
+        return float(left.prod()) < COVERED
 
     def _together(self) -> bool:
         """Whether the bodies moved sideways as a whole, more than otherwise, in the last step."""

@@ -24,7 +24,7 @@ from optical_palpation.mechanics.cascade import (
 )
 from optical_palpation.mechanics.iteration import TOLERANCES, Iterate, Tolerances, met
 from optical_palpation.mechanics.newton import Balance, balance
-from optical_palpation.mechanics.path import SLIDES
+from optical_palpation.mechanics.path import COVERED, SLID_AWAY, SLIDES
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.side_contact import side_contact
 from optical_palpation.mechanics.similar import Similar
@@ -265,7 +265,7 @@ def computational_stress(
     except LoadNotReached as failure:
         raise ConvergenceError(
             f"the layer was loaded {failure.how_far()}: {failure.reason}. "
-            + (_HOLD_IT if failure.reason == SLIDES else _TAME_IT)
+            + (_HOLD_IT if failure.reason in (SLID_AWAY, SLIDES) else _TAME_IT)
         ) from None
 
     now = checked(solution)
@@ -504,7 +504,7 @@ def _add_mesh_error(maps: xr.Dataset, error: MeshError) -> None:
 
 
 def _check_cover(stress: xr.DataArray, loaded: xr.DataArray, state: LayerState) -> None:
-    """Refuse a layer that has left more than half of its field of view.
+    """Refuse a layer that has left most of its field of view.
 
     Raises
     ------
@@ -514,7 +514,7 @@ def _check_cover(stress: xr.DataArray, loaded: xr.DataArray, state: LayerState) 
     x, y = stress["x"].values, stress["y"].values
     there = stress.values[np.ix_((y >= y0) & (y <= y1), (x >= x0) & (x <= x1))]
     covered = float(np.isfinite(there).mean())
-    if covered < 0.5:
+    if covered < COVERED:
         moved = float(np.hypot(*state.u[:2].mean((1, 2, 3))))
         raise ConvergenceError(
             f"nothing holds the layer sideways: it slid by {moved:.2g} mm and covers only "

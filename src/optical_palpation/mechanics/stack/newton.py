@@ -272,6 +272,11 @@ class LoadedStack:
         """Volume of each node, (n), mm^3."""
         return self.stack.node_volumes
 
+    @property
+    def lengths(self) -> tuple[float, float]:
+        """Lengths of the layer along x and y, mm."""
+        return self.stack.bodies[LAYER].grid.lengths
+
     def resistance(self, moved: Array) -> Array:
         """Forces, mN, of unit resistance (1 kPa / mm^2) to displacements, mm; both (3, n)."""
         return self.stack.resistance(moved.T).T
