@@ -130,7 +130,7 @@ def test_states_on_the_way_are_in_equilibrium_and_those_of_a_smaller_travel():
     assert (on_the_way.load, full.load) == (0.55, 1.0)
     for state in path.stops:
         assert balance(assembly, state).force_error < TOLERANCES.force
-    less = replace(assembly, compression=0.55 * assembly.compression)
+    less = replace(assembly, travel=0.55 * assembly.travel)
     alone = solve([less]).state
     assert on_the_way.forces[LAYER].sum() == pytest.approx(alone.forces[LAYER].sum(), rel=0.01)
     off = np.linalg.norm(on_the_way.u - alone.u)

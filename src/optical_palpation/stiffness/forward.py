@@ -262,7 +262,7 @@ def _of_stiffness(stack: Stack, logarithm: Array, travel: float) -> Stack:
     layer, sample = stack.bodies
     factor = np.broadcast_to(np.exp(logarithm), sample.grid.shape).copy()
     bodies = layer, replace(sample, stiffness=factor)
-    return replace(stack, bodies=bodies, compression=travel)
+    return replace(stack, bodies=bodies, travel=travel)
 
 
 @dataclass(frozen=True, eq=False)

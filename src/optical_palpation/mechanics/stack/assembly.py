@@ -106,7 +106,6 @@ def assemble(
     """
     (layer_depth, layer_y, layer_x), (depth, sample_y, sample_x) = _node_axes(blocks, mesh)
     unloaded = blocks.thickness(*np.meshgrid(layer_x, layer_y))
-    typical = float(np.median(unloaded))
     layer_grid = LayerGrid(layer_x, layer_y, layer_depth, unloaded)
     layer = Body(layer_grid, blocks.law)
 
@@ -166,15 +165,16 @@ def assemble(
         slave_grids=(layer_grid, slave, sample_grid),
         areas=(window.ravel(), interface.ravel(), base.ravel()),
         plate=plate,
-        compression=blocks.travel,
-        slip_length=_SLIP_LENGTH * typical * smoothness(blocks.travel / typical),
+        travel=blocks.travel,
+        slip_length=_SLIP_LENGTH * layer_grid.typical_thickness,
     )
     pressure = column_forces(stack)[WINDOW].sum() / window.sum()
     on_layer, on_sample = (
         replace(sides, flattened=1 - min(0.5, pressure / (3 * sides.body.law.shear_modulus)))
         for sides in stack.sides
     )
-    return replace(stack, sides=(on_layer, on_sample))
+    slip_length = stack.slip_length * smoothness(stack.compression)
+    return replace(stack, sides=(on_layer, on_sample), slip_length=slip_length)
 
 
 def count_elements(blocks: Blocks, mesh: Mesh) -> int:

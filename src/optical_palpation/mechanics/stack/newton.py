@@ -81,8 +81,7 @@ def balance(
     position = stack.position(state.u)
     sides = stack.side_contacts(state)
     bounds = [None] * len(state.contacts) if drag is None else drag.bound
-    height = stack.bodies[LAYER].grid.typical_thickness
-    eps = smoothing(stack.compression / height) * stack.shear_modulus
+    eps = smoothing(stack.compression) * stack.shear_modulus
     terms = [
         linearise(
             contact.friction,

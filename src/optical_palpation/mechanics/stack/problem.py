@@ -30,7 +30,7 @@ class Stack:
     of the layer's sides with the window and of the sample's with the plate. ``slave_grids`` are the
     grids of the bodies that the slaves belong to,
     ``areas`` the slaves' shares of the surface and ``scales`` c of their law; ``plate`` the plate's
-    z at rest, ``compression`` its travel, mm; ``slip_length`` that of the friction law.
+    z at rest, ``travel`` how far it moves, mm; ``slip_length`` that of the friction law.
     """
 
     bodies: tuple[Body, Body]
@@ -39,7 +39,7 @@ class Stack:
     slave_grids: tuple[LayerGrid, LayerGrid, LayerGrid]
     areas: tuple[Array, Array, Array]
     plate: float
-    compression: float
+    travel: float
     slip_length: float
 
     @property
@@ -69,6 +69,11 @@ class Stack:
     def shear_modulus(self) -> float:
         """Shear modulus of the layer, kPa, the scale of pressures."""
         return self.bodies[LAYER].law.shear_modulus
+
+    @property
+    def compression(self) -> float:
+        """What the layer is compressed by at most, a share of its thickness."""
+        return self.travel / self.bodies[LAYER].grid.typical_thickness
 
     @property
     def scales(self) -> list[Array]:
@@ -113,7 +118,7 @@ class Stack:
     def project(self, position: Array, load: float) -> list[Projection]:
         """Where the slaves of each contact are."""
         window, interface, plate = self.contacts
-        height = self.plate - load * self.compression
+        height = self.plate - load * self.travel
         return [
             window.project(position, 0.0),
             interface.project(position),
@@ -122,7 +127,7 @@ class Stack:
 
     def plane(self, body: int, load: float) -> float:
         """Height of the rigid plane that a body lies on, mm."""
-        return 0.0 if body == LAYER else self.plate - load * self.compression
+        return 0.0 if body == LAYER else self.plate - load * self.travel
 
     def at_sides(self, u: Array) -> list[Array]:
         """Lateral part (1, 2, n) of ``u`` (n_nodes, 3) on the ``LayerGrid.side_nodes`` of both."""
@@ -236,7 +241,7 @@ def fully_loaded(stack: Stack) -> State:
     """Return a first estimate at full load: the sample moved with the plate, columns as springs."""
     rest = at_rest(stack)
     u = rest.u.copy()
-    u[stack.bodies[LAYER].n_nodes :, 2] -= stack.compression
+    u[stack.bodies[LAYER].n_nodes :, 2] -= stack.travel
     return rest.at_load(1.0).moved(u, rest.p, column_forces(stack))
 
 
@@ -256,7 +261,7 @@ def column_forces(stack: Stack) -> tuple[Array, ...]:
     compliance = compliance + sample.grid.thickness * (height * nodal).sum(0) / (
         3 * sample.law.shear_modulus
     )
-    pressure = np.maximum(stack.compression - (sample.top - thickness), 0.0) / compliance
+    pressure = np.maximum(stack.travel - (sample.top - thickness), 0.0) / compliance
     on_sample = RegularGridInterpolator(
         (sample.grid.y, sample.grid.x), pressure, "nearest", bounds_error=False, fill_value=0.0
     )
