@@ -190,11 +190,9 @@ class Stays:
     """Does not move sideways."""
 
     stiffness = 1.0
-    volumes = np.ones(1)
-    lengths = (1.0, 1.0)
 
-    def displacement(self, state):
-        return np.zeros((3, 1))
+    def covered(self, state):
+        return 1.0
 
     def remember(self, now):
         return now.state

@@ -102,11 +102,6 @@ class LayerGrid:
         )
 
     @property
-    def lengths(self) -> tuple[float, float]:
-        """Lengths of the layer along x and y, mm."""
-        return float(self.x[-1] - self.x[0]), float(self.y[-1] - self.y[0])
-
-    @property
     def edge_widths(self) -> tuple[float, float]:
         """Widths of the outermost elements (y, x), mm."""
         return float(self.y[1] - self.y[0]), float(self.x[1] - self.x[0])
@@ -115,6 +110,17 @@ class LayerGrid:
     def areas(self) -> Array:
         """Tributary areas of the unloaded sample-side nodes, (ny + 1, nx + 1), mm^2."""
         return self.surface_areas(self.nodes[:, -1])
+
+    def covered(self, u: Array) -> float:
+        """Share of where the layer was, seen from above, that is within its bounds when moved by u.
+
+        ``u`` (3, nz + 1, ny + 1, nx + 1), mm; the sample-side nodes count.
+        """
+        share = 1.0
+        for nodes, position in (self.x, self.x + u[0, -1]), (self.y, self.y[:, None] + u[1, -1]):
+            within = min(position.max(), nodes[-1]) - max(position.min(), nodes[0])
+            share *= max(0.0, float(within / (nodes[-1] - nodes[0])))
+        return share
 
     def interpolate_from(self, other: LayerGrid, field: Array) -> Array:
         """Smooth (Akima) interpolation of a node field of another grid of the same layer.

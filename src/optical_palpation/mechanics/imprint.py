@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 #: Steps in which a point of the moving surface is tracked to full load; each reduces the error by
 #: about the strain of the surface.
 _TRACKING = 4
+#: Share of the thickness by which smoothing makes equal heights differ at most.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,16 @@ class Imprint:
         """Least and greatest compression at full load, as shares of the thickness."""
         strain = 1 - self.loaded / self.unloaded
         return float(strain.min()), float(strain.max())
+
+    @property
+    def level(self) -> tuple[bool, bool]:
+        """Whether it is the same all along x and along y, at every load."""
+
+        def along(axis: int) -> bool:
+            differ = max(float(np.ptp(at, axis).max()) for at in (self.unloaded, self.loaded))
+            return differ <= _ROUNDING * self._lowest[0]
+
+        return along(1), along(0)
 
     def lowest(self, load: float) -> float:
         """A height that the surface stays above, but for the splines' overshoot, mm."""

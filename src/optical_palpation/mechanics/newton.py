@@ -335,6 +335,7 @@ def _direction(
     if krylov >= tolerances.krylov:
         raise HardSystem("the tangent is nearly singular")
     step = system.to_cartesian(du)
+    _take_drift(problem, state, step)
     change = system.contact_forces(now.force, du, dp) - state.normal_force
     if problem.held_columns is not None:
         change[:, problem.held_columns] = 0.0
@@ -351,6 +352,26 @@ def _direction(
         return balance(problem, trial, drag)
 
     return Direction(follow, krylov)
+
+
+def _take_drift(problem: LayerProblem, state: LayerState, step: NDArray[np.floating]) -> None:
+    """Take from a step what moves or turns the layer as a whole and nothing resists (in place).
+
+    Of that a linear solver returns whatever its rounding errors make of it.
+    """
+    indifferent = problem.indifferent
+    if not any(indifferent):
+        return
+    share = problem.grid.node_volumes / problem.grid.node_volumes.sum()
+    for lateral, free in zip(step, indifferent, strict=False):
+        if free:
+            lateral -= (share * lateral).sum()
+    if all(indifferent):
+        x, y = problem.grid.nodes[:2] + state.u[:2]
+        x, y = x - (share * x).sum(), y - (share * y).sum()
+        turn = (share * (x * step[1] - y * step[0])).sum() / (share * (x**2 + y**2)).sum()
+        step[0] += turn * y
+        step[1] -= turn * x
 
 
 @dataclass
@@ -548,7 +569,7 @@ def _stiffness(problem: LayerProblem) -> float:
     """Shear modulus per square of the thickness, of a part of its least extent, kPa / mm^2."""
     grid, least = problem.grid, problem.grid.typical_thickness
     if any(problem.held):
-        least = min(least, *grid.lengths)
+        least = min(least, grid.x[-1] - grid.x[0], grid.y[-1] - grid.y[0])
     return problem.shear_modulus / least**2
 
 
@@ -570,11 +591,6 @@ class LoadedLayer:
         """Volume of each node, (n), mm^3."""
         return self.problem.grid.node_volumes.ravel()
 
-    @property
-    def lengths(self) -> tuple[float, float]:
-        """Lengths along x and y, mm."""
-        return self.problem.grid.lengths
-
     def resistance(self, moved: Array) -> Array:
         """Forces, mN, of unit resistance (1 kPa / mm^2) to displacements, mm; both (3, n)."""
         body = self.problem.body
@@ -583,6 +599,10 @@ class LoadedLayer:
     def displacement(self, state: LayerState) -> Array:
         """Displacement (x, y, z) of the nodes, (3, n), mm."""
         return state.u.reshape(3, -1)
+
+    def covered(self, state: LayerState) -> float:
+        """Share of where the layer was that it still covers."""
+        return self.problem.grid.covered(state.u)
 
     def contact_forces(self, state: LayerState) -> Sequence[Array]:
         """Normal forces at window and sample, (ny + 1, nx + 1) each, mN."""

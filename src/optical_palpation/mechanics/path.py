@@ -69,7 +69,7 @@ _NEAR = 0.1
 #: Steps in which fully loaded bodies must come to rest, and after which those that still move as a
 #: whole slide.
 _HELD, _SLIDING = 50, 10
-#: Share of where they were that bodies still cover, at least; what covers less has slid away.
+#: Share of where it was that a layer must cover; one that covers less has slid away.
 COVERED = 0.5
 #: Why they do not.
 SLIDES = "nothing holds the layer sideways: it slides from under what presses it"
@@ -182,17 +182,16 @@ class Loaded(Protocol[AnyState]):
         """Volume of each node, (n), mm^3."""
         ...
 
-    @property
-    def lengths(self) -> tuple[float, float]:
-        """Lengths along x and y, mm."""
-        ...
-
     def resistance(self, moved: Array) -> Array:
         """Forces, mN, of unit resistance (1 kPa / mm^2) to displacements, mm; both (3, n)."""
         ...
 
     def displacement(self, state: AnyState) -> Array:
         """Displacement (x, y, z) of the nodes, (3, n), mm."""
+        ...
+
+    def covered(self, state: AnyState) -> float:
+        """Share of where the layer was that it still covers."""
         ...
 
     def contact_forces(self, state: AnyState) -> Sequence[Array]:
@@ -449,7 +448,7 @@ class Path(Generic[AnyState]):
                 if self.state.load in stops:
                     kept.append(self.state)
                 continue
-            if self._gone(now.state):
+            if self.loaded.covered(now.state) < COVERED:
                 raise self._stopped(SLID_AWAY)
             if load in stops:
                 kept.append(now.state)
@@ -629,7 +628,7 @@ class Path(Generic[AnyState]):
                 else:
                     now, count = self._reach(trial, wanted, drag)
                     counts = [count]
-                if self._gone(now.state):
+                if self.loaded.covered(now.state) < COVERED:
                     raise self._stopped(SLID_AWAY)
             except NotConverged as failure:
                 viscosity *= 4.0
@@ -742,13 +741,6 @@ class Path(Generic[AnyState]):
 
     def _stopped(self, reason: object) -> LoadNotReached:
         return LoadNotReached(self.state.load, str(reason))
-
-    def _gone(self, state: AnyState) -> bool:
-        """Whether the bodies slid out of most of the field that they covered."""
-        weights = self.loaded.volumes / self.loaded.volumes.sum()
-        moved = np.abs((self.loaded.displacement(state)[:2] * weights).sum(1))
-        left = np.maximum(0.0, 1.0 - moved / self.loaded.lengths)
-        return float(left.prod()) < COVERED
 
     def _together(self) -> bool:
         """Whether the bodies moved sideways as a whole, more than otherwise, in the last step."""

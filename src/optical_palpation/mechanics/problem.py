@@ -89,6 +89,16 @@ class LayerProblem:
         return max(pressed, -pulled if self.glued[SAMPLE] else 0.0)
 
     @cached_property
+    def indifferent(self) -> tuple[bool, bool]:
+        """Whether nothing tells where the layer is along x and y: no friction, relief or side."""
+        if any(self.friction) or any(self.glued) or any(self.held) or self.edges == "roller":
+            return False, False
+        if self.surroundings is not None:
+            return False, False
+        along_x, along_y = self.imprint.level
+        return along_x and not any(self.mirrors[2:]), along_y and not any(self.mirrors[:2])
+
+    @cached_property
     def body(self) -> Body:
         """The layer's elements."""
         return Body(self.grid, self.law, curved_sides=self.curved_sides)

@@ -271,11 +271,6 @@ class LoadedStack:
         """Volume of each node, (n), mm^3."""
         return self.stack.node_volumes
 
-    @property
-    def lengths(self) -> tuple[float, float]:
-        """Lengths of the layer along x and y, mm."""
-        return self.stack.bodies[LAYER].grid.lengths
-
     def resistance(self, moved: Array) -> Array:
         """Forces, mN, of unit resistance (1 kPa / mm^2) to displacements, mm; both (3, n)."""
         return self.stack.resistance(moved.T).T
@@ -283,6 +278,10 @@ class LoadedStack:
     def displacement(self, state: State) -> Array:
         """Displacement (x, y, z) of the nodes, (3, n), mm."""
         return state.u.T
+
+    def covered(self, state: State) -> float:
+        """Share of where the layer was that it still covers."""
+        return self.stack.bodies[LAYER].grid.covered(self.stack.split(state.u)[LAYER])
 
     def contact_forces(self, state: State) -> Sequence[Array]:
         """Normal forces of each contact, (n), mN."""
