@@ -7,6 +7,7 @@ import pytest
 
 from optical_palpation.errors import InputError
 from optical_palpation.material import MooneyRivlin
+from optical_palpation.mechanics import neighbours
 from optical_palpation.mechanics.iteration import NotConverged
 from optical_palpation.palpation import InputErrors, computational_stress
 from optical_palpation.present import read_result, summarise, write_result
@@ -153,6 +154,25 @@ def test_neighbours_that_do_not_arrive_leave_the_result_as_it_is(monkeypatch, re
     assert "axial_stress_error" not in alone.maps
     assert alone.sensitivities["input"].values.tolist() == ["modulus"]
     assert "error from the inputs: unknown (a slightly different layer" in summarise(alone)
+
+
+def test_neighbours_that_do_not_arrive_at_once_go_on_in_smaller_increments(monkeypatch, result):
+    solved, reached = neighbours.equilibrate, [0.1]
+
+    def fails_far_away(problem, state, *given):
+        if state.load > reached[-1] + 0.08:
+            raise NotConverged("on purpose")
+        found = solved(problem, state, *given)
+        reached.append(state.load)
+        return found
+
+    monkeypatch.setattr(neighbours, "equilibrate", fails_far_away)
+    careful = press(InputErrors())
+    assert force(careful) == force(result)
+    assert reached[-1] == 1.0
+    np.testing.assert_allclose(
+        careful.sensitivities["force"], result.sensitivities["force"], rtol=0.05
+    )
 
 
 def test_none_where_none_are_asked_for():

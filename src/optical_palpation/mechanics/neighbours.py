@@ -23,6 +23,9 @@ from .system import assemble
 Vary = Callable[[LayerProblem], LayerProblem]
 #: Between neighbours that differ by one percent in the total force.
 _TOLERANCES = Tolerances(force=1e-4, volume=1e-5, iterations=8)
+#: How often an increment of the load is halved where one of them does not arrive. What that takes
+#: counts as effort of the problem itself.
+_HALVINGS = 1
 
 
 class Neighbours:
@@ -66,35 +69,53 @@ class Neighbours:
         """Follow to a state of the problem, its reference slip laid."""
         if self.failure:
             return
-        trials = [_shifted(state, self._beside, mine) for mine in self.states]
-        self._beside = state
-        self._equilibrate(trials)
+        before, self._beside = self._beside, state
+        try:
+            self._follow(before, state, _HALVINGS)
+        except NotConverged as failure:
+            self.stop(f"a slightly different layer {LoadNotReached(before.load, str(failure))}")
+
+    def _follow(self, before: LayerState, state: LayerState, halvings: int) -> None:
+        """Follow from one state of the problem to another, all in increments as large.
+
+        Raises
+        ------
+        NotConverged
+        """
+        trials = [_shifted(state, before, mine) for mine in self.states]
+        try:
+            self.states = self._equilibrated(trials)
+        except NotConverged:
+            if halvings == 0 or before.load == 0.0:  # contact that is made is no nearer by half
+                raise
+            middle = state.towards(before, 0.5 * (before.load + state.load))
+            self._follow(before, middle, halvings - 1)
+            self._follow(middle, state, halvings - 1)
+            return
         if state.load < 1.0:
             for problem, mine in zip(self.problems, self.states, strict=True):
                 remember_slip(problem, mine)
 
-    def _equilibrate(self, trials: Sequence[LayerState]) -> None:
+    def _equilibrated(self, trials: Sequence[LayerState]) -> list[LayerState]:
         """Bring all into equilibrium, from where each is expected.
 
         The problem itself comes first; where that is off, so are the others.
         """
         solver = self._solver
         first, *others = self.problems
-        try:
-            now, _ = equilibrate(first, trials[0], solver, _TOLERANCES)
-            shifted = [_shifted(now.state, trials[0], trial) for trial in trials[1:]]
-            system = assemble(first, now, solver)
-            near = [
-                equilibrate_by(system, problem, trial, solver, _TOLERANCES)
-                for problem, trial in zip(others, shifted, strict=True)
-            ]
-            self.states = [now.state]
-            for problem, trial, state in zip(others, shifted, near, strict=True):
-                if state is None:  # its own tangents lead further
-                    state = equilibrate(problem, trial, solver, _TOLERANCES)[0].state
-                self.states.append(state)
-        except NotConverged as failure:
-            self.stop(f"a slightly different layer {LoadNotReached(trials[0].load, str(failure))}")
+        now, _ = equilibrate(first, trials[0], solver, _TOLERANCES)
+        shifted = [_shifted(now.state, trials[0], trial) for trial in trials[1:]]
+        system = assemble(first, now, solver)
+        near = [
+            equilibrate_by(system, problem, trial, solver, _TOLERANCES)
+            for problem, trial in zip(others, shifted, strict=True)
+        ]
+        states = [now.state]
+        for problem, trial, state in zip(others, shifted, near, strict=True):
+            if state is None:  # its own tangents lead further
+                state = equilibrate(problem, trial, solver, _TOLERANCES)[0].state
+            states.append(state)
+        return states
 
 
 def _shifted(state: LayerState, before: LayerState, mine: LayerState) -> LayerState:
