@@ -417,7 +417,7 @@ class _Nested:
             try:
                 state = state or self._loaded(level, carried)
             except LoadNotReached as failure:
-                if failure.reason == SLID_AWAY:  # as it does on other elements
+                if failure.reason == SLID_AWAY and not found:  # as it does on finer elements
                     raise
                 self._remember(failure)
                 if self._may_widen and failure.reason != SLIDES:
