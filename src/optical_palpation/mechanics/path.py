@@ -448,8 +448,6 @@ class Path(Generic[AnyState]):
                 if self.state.load in stops:
                     kept.append(self.state)
                 continue
-            if self.loaded.covered(now.state) < COVERED:
-                raise self._stopped(SLID_AWAY)
             if load in stops:
                 kept.append(now.state)
             if tried and sum(counts) > 0 and self.before is not None:
@@ -613,8 +611,7 @@ class Path(Generic[AnyState]):
         bound = Bound(loaded.contact_forces(self.state), _AGAINST_DRAG)
 
         def stopped(reason: object) -> LoadNotReached:
-            slides = reason != SLID_AWAY and held > _SLIDING and self._together()
-            return self._stopped(SLIDES if slides else reason)
+            return self._stopped(SLIDES if held > _SLIDING and self._together() else reason)
 
         while True:
             load = min(end, self.state.load + step)
@@ -628,8 +625,6 @@ class Path(Generic[AnyState]):
                 else:
                     now, count = self._reach(trial, wanted, drag)
                     counts = [count]
-                if self.loaded.covered(now.state) < COVERED:
-                    raise self._stopped(SLID_AWAY)
             except NotConverged as failure:
                 viscosity *= 4.0
                 step *= 0.5
@@ -639,7 +634,7 @@ class Path(Generic[AnyState]):
                 if over:
                     raise stopped(failure) from None
                 continue
-            except LoadNotReached as failure:  # or took too long
+            except LoadNotReached as failure:  # it took too long
                 raise stopped(failure.reason) from None
             forces = loaded.contact_forces(now.state)
             share = self._force(drag, now.state) / max(_norm(forces), 1e-30)
@@ -734,6 +729,8 @@ class Path(Generic[AnyState]):
         return float(np.linalg.norm(drag.viscosity * self.loaded.resistance(moved)))
 
     def _accept(self, state: AnyState, iterations: int) -> None:
+        if self.loaded.covered(state) < COVERED:
+            raise self._stopped(SLID_AWAY)
         self.record.append((state.load, iterations))
         self.before, self.state = self.state, state
         if self.visited is not None:
