@@ -125,33 +125,37 @@ class MultigridSolver:
         system, volume, weight, share = self.system, self.volume, self.weight, self.share
         penalty, nodes = f32(system.gamma) / volume, system.free.shape
         finest = self.hierarchy.levels[0]  # whose vectors serve products as well: memory
-        x, b, r = (self.inside(v) for v in (finest.x, finest.b, finest.r))
+        b, r = self.inside(finest.b), self.inside(finest.r)
         size, total = system.free.size, self.total
 
         def split(v: Vector) -> tuple[Vector, Vector]:
             return v[:size].reshape(nodes), v[size:].reshape(volume.shape)
 
-        def operator(v: Vector, out: Vector) -> None:
-            (u, p), (out_u, out_p) = split(v), split(out)
-            x[:] = u
-            compression = system.compression(p)
-            np.negative(self.pressed(p - penalty * compression), out=b)
-            subtract_product(system.stencil, finest.x, finest.b, finest.r)
-            np.negative(r, out=out_u)
-            out_u[:, [0, -1]] *= share
-            np.subtract(system.volume_change(u), compression, out=out_p)
-            out_p *= weight
+        # of what was preconditioned last, and is multiplied next
+        compression = pressed = np.zeros(0, f32)
 
         def precondition(v: Vector, out: Vector) -> None:
+            nonlocal compression, pressed
             (r_u, r_p), (out_u, out_p) = split(v), split(out)
             r_p = r_p / weight
             mean = float(r_p.sum(dtype=np.float64))
             out_p[:] = -self.schur.solve(r_p - volume * f32(mean / total)) - f32(mean * self.rest)
             out_p -= self.lubrication.solve(r_p)
+            compression = system.compression(out_p)
+            pressed = self.pressed(out_p - penalty * compression)
             b[:] = r_u
             b[:, [0, -1]] /= share
-            b[:] -= self.pressed(out_p - penalty * system.compression(out_p))
+            b[:] -= pressed
             out_u[:] = self.inside(self.hierarchy.cycle())
+
+        def operator(v: Vector, out: Vector) -> None:
+            (u, _), (out_u, out_p) = split(v), split(out)
+            np.negative(pressed, out=b)
+            subtract_product(system.stencil, finest.x, finest.b, finest.r)  # x is u
+            np.negative(r, out=out_u)
+            out_u[:, [0, -1]] *= share
+            np.subtract(system.volume_change(u), compression, out=out_p)
+            out_p *= weight
 
         b0 = np.concatenate([rhs.displacement.ravel(), (weight * rhs.volume).ravel()])
         split(b0)[0][:, [0, -1]] *= share
@@ -181,8 +185,9 @@ def _of_elements(field: NDArray[np.float64]) -> NDArray[np.float64]:
 def gmres(operator, precondition, rhs: Vector, tolerance: float, longest: int):
     """GMRES from a zero guess, without restart, preconditioned from the right.
 
-    ``operator`` and ``precondition`` take a vector and the memory of their result. Returns the
-    solution and the number of iterations, each one product and one preconditioning.
+    ``operator`` and ``precondition`` take a vector and the memory of their result; what is
+    multiplied is what was preconditioned just before. Returns the solution and the number of
+    iterations, each one preconditioning and one product.
     """
     size = float(np.linalg.norm(rhs))
     if size == 0:

@@ -79,11 +79,12 @@ class Level:
         self.inverse = np.empty_like(self.stencil.diagonal)
         #: Solution, right-hand side, smoothing direction, residual.
         self.x, self.b, self.d, self.r = (st.halo_zeros(node_shape) for _ in range(4))
-        self.largest = 0.0
+        #: Factors of the smoothing steps before and after the coarse correction.
+        self.before = self.after = np.zeros((2, 0), np.float32)
         self.mode: Vector | None = None
 
     def prepare(self) -> None:
-        """Invert the diagonal blocks and estimate the largest eigenvalue of D^-1 A."""
+        """Invert the diagonal blocks and fit the smoother to the largest eigenvalue of D^-1 A."""
         st.invert_blocks(self.stencil.diagonal, self.inverse)
         steps = 2
         if self.mode is None:
@@ -93,41 +94,45 @@ class Level:
             inside = st.interior(self.mode, self.node_shape)
             inside[:] = rng.standard_normal(inside.shape, np.float32)
         self.b[:] = 0
+        jacobi = np.array([[0], [1]], np.float32)
         for _ in range(steps):
             st.subtract_product(self.stencil, self.mode, self.b, self.r)
-            self._go_on([0.0], [1.0], True, self.r, self.mode)
+            self._go_on(jacobi, True, self.r, self.mode)
             size = float(np.linalg.norm(self.mode.ravel()))
             if size == 0:  # nothing is free: one element deep, between glued faces
                 self.mode, size = None, 1.0
                 break
             self.mode /= np.float32(size)
-        self.largest = 1.1 * size
+        self.before, self.after = (_chebyshev(1.1 * size, count) for count in (_BEFORE, _AFTER))
 
     def smooth(self, from_zero: bool) -> None:
         """Chebyshev steps on x for the right-hand side b."""
-        high, low = self.largest, self.largest / _RANGE
-        centre, half = 0.5 * (high + low), 0.5 * (high - low)
-        sigma = centre / half
-        rho = 1 / sigma
-        keeps, gains = [0.0], [1 / centre]
-        for _ in range((_BEFORE if from_zero else _AFTER) - 1):
-            new = 1 / (2 * sigma - rho)
-            keeps.append(new * rho)
-            gains.append(2 * new / half)
-            rho = new
-        self._go_on(keeps, gains, from_zero, self.b, self.x)
+        self._go_on(self.before if from_zero else self.after, from_zero, self.b, self.x)
 
     def residual(self) -> Vector:
         """Return b - S x, in r."""
         st.subtract_product(self.stencil, self.x, self.b, self.r)
         return self.r
 
-    def _go_on(
-        self, keeps: list[float], gains: list[float], from_zero: bool, b: Vector, x: Vector
-    ) -> None:
+    def _go_on(self, factors: Vector, from_zero: bool, b: Vector, x: Vector) -> None:
         """Go through smoothing steps on x for the right-hand side b."""
-        keep, gain = np.array([keeps, gains], np.float32)
+        keep, gain = factors
         st.smooth(self.stencil, self.inverse, keep, gain, from_zero, b, self.r, self.d, x)
+
+
+def _chebyshev(largest: float, steps: int) -> Vector:
+    """What each step keeps of the last one's direction, and its gain, (2, steps)."""
+    high, low = largest, largest / _RANGE
+    centre, half = 0.5 * (high + low), 0.5 * (high - low)
+    sigma = centre / half
+    rho = 1 / sigma
+    keeps, gains = [0.0], [1 / centre]
+    for _ in range(steps - 1):
+        new = 1 / (2 * sigma - rho)
+        keeps.append(new * rho)
+        gains.append(2 * new / half)
+        rho = new
+    return np.array([keeps, gains], np.float32)
 
 
 class Hierarchy:
