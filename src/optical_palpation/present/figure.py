@@ -149,6 +149,8 @@ def figure_file(
             warnings.filterwarnings("error", "constrained_layout not applied")
             try:
                 _settle(figure)
+                # laid out as it is: savefig would do so once more, and draw it twice for that
+                figure.set_layout_engine(None)
                 figure.savefig(temporary, metadata=metadata[temporary.suffix.lower()])
             except UserWarning:
                 raise InputError(
