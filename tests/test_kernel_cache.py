@@ -40,14 +40,15 @@ for folder in sys.argv[1:] or [numba.config.CACHE_DIR]:
 """
 
 
-def evaluate(*caches: Path, **environment) -> tuple[list[int], set[str], str]:
-    """Evaluate an imprint with each cache, in a new process.
+def evaluate(*caches: Path | None, **environment) -> tuple[list[int], set[str], str]:
+    """Evaluate an imprint with each cache, None beside the package, in a new process.
 
     Kernels compiled each time, different digests of the results, complaints.
     """
+    folders = [str(cache or "") for cache in caches]
     done = subprocess.run(
-        [sys.executable, "-c", RUN, *map(str, caches)],
-        env=os.environ | {"NUMBA_CACHE_DIR": str(caches[0]), **environment},
+        [sys.executable, "-c", RUN, *folders],
+        env=os.environ | {"NUMBA_CACHE_DIR": folders[0], **environment},
         capture_output=True,
         text=True,
     )
@@ -143,20 +144,31 @@ def test_a_folder_that_is_a_file_is_done_without(warm, tmp_path):
     assert evaluate(tmp_path / "file" / "kernels")[1] == {warm[1]}
 
 
-def test_kernels_of_another_code_are_not_taken(tmp_path):
-    """Numba looks only at the file of the function itself; what that calls may have changed."""
-    package = tmp_path / "optical_palpation"
+def copied(folder):
+    """Copy the package to a folder, as another installation, and say so in the environment."""
     shutil.copytree(
         Path(optical_palpation.__file__).parent,
-        package,
+        folder / "optical_palpation",
         ignore=shutil.ignore_patterns("__pycache__"),
     )
-    environment = {"PYTHONPATH": str(tmp_path)}
-    kernels = tmp_path / "kernels"
+    return {"PYTHONPATH": str(folder)}
+
+
+def test_another_installation_of_the_same_code_takes_them(warm, cache, tmp_path):
+    environment = copied(tmp_path / "another")
+    (compiled,), digests, _ = evaluate(cache, **environment)
+    assert (compiled, digests) == (0, {warm[1]})
+
+
+@pytest.mark.parametrize("where", ["a folder that is named", "beside the package"])
+def test_kernels_of_another_code_are_not_taken(tmp_path, where):
+    """Numba looks only at the file of the function itself; what that calls may have changed."""
+    environment = copied(tmp_path)
+    kernels = tmp_path / "kernels" if where == "a folder that is named" else None
     first = evaluate(kernels, kernels, **environment)
     assert first[0][0] > 0
     assert first[0][1] == 0
-    called = package / "parallel.py"
+    called = tmp_path / "optical_palpation" / "parallel.py"
     called.write_text(called.read_text() + "\n# another\n")
     again = evaluate(kernels, **environment)
     assert again[0][0] > 0

@@ -12,6 +12,7 @@ import os
 import pickle
 import tempfile
 import warnings
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -50,10 +51,18 @@ class KernelLocator(caching._CacheLocator):
         file = Path(py_file)
         if not file.is_relative_to(PACKAGE):
             return None
+        line = py_func.__code__.co_firstlineno
+        config: Any = numba.config
+        if config.CACHE_DIR:
+            # not by where the package is installed: installations of the same sources share them
+            folder = Path(config.CACHE_DIR) / f"{_MARK}-{modules_digest(file)[:16]}"
+            shared = cls(str(folder), file, line)
+            with suppress(OSError):
+                shared.ensure_cache_path()
+                return shared
         others = (c for c in caching.CacheImpl._locator_classes if c is not cls)
         found = next((f for c in others if (f := c.from_function(py_func, py_file))), None)
-        folder = found.get_cache_path() if found else _of_this_process()
-        return cls(folder, file, py_func.__code__.co_firstlineno)
+        return cls(found.get_cache_path() if found else _of_this_process(), file, line)
 
 
 class CheckedFile(caching.IndexDataCacheFile):
