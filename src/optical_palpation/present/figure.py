@@ -49,8 +49,8 @@ _INTERPOLATED = "#CC79A7"
 _NUMBERS = 0.4
 # Room for the letter of a panel, inches.
 _LETTER = 0.3
-# Layouts until a figure stays as it is: most do after two.
-_LAYOUTS = 6
+# Layouts until a figure stays as it is, but for a share of its size: most do after two.
+_LAYOUTS, _STAYS = 6, 5e-3
 _DPI = 300
 _STYLE: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same figure on every machine
@@ -172,7 +172,7 @@ def _settle(figure: Figure) -> None:
         for axes in figure.axes:
             axes.apply_aspect()
         places = [axes.get_position().bounds for axes in figure.axes]
-        if not _break_titles(figure) and before and np.allclose(before, places, atol=1e-3):
+        if not _break_titles(figure) and before and np.allclose(before, places, atol=_STAYS):
             break
         before = places
 
