@@ -231,10 +231,10 @@ def _touching(problem: LayerProblem, state: LayerState) -> _Touch:
     # no gap is larger than its share of the outermost element
     reach = (share * outermost)[:, 0, 0] * np.max(grid.thickness)
     near = (z.min(0) < reach[0]) | (z.max(0) > lowest - reach[1])
-    unloaded = facets.at_points(grid.nodes, near)
-    x, y, z = unloaded + facets.at_points(state.u, near)
+    unloaded, (before, after) = problem.side_points
+    x, y, z = unloaded[:, :, near] + facets.at_points(state.u, near)
     h, *slopes = problem.imprint.evaluate(x, y, state.load)
-    pressed_evenly = problem.imprint.evaluate(unloaded[0], unloaded[1], state.load)[0]
+    pressed_evenly = before[:, near] + state.load * (after[:, near] - before[:, near])
     depth = np.broadcast_to(facets.depth, facets.area.shape)[:, near]
     gap = share * pressed_evenly * np.minimum(np.stack([depth, 1 - depth]), outermost)
     spring = PENALTY * problem.shear_modulus / (outermost * grid.typical_thickness)

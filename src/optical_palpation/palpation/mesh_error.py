@@ -113,10 +113,17 @@ def mesh_error(
         return None
     if not comparisons or any(each.factor == np.inf for each in comparisons):
         return None
+    known = dict[int, Quantities]()  # most solutions are compared with two others
+
+    def of(problem: LayerProblem, state: LayerState) -> Quantities:
+        if id(state) not in known:
+            known[id(state)] = quantities(problem, state)
+        return known[id(state)]
+
     problem = solution.problem
-    force = quantities(problem, solution.state)[0]
+    force = of(problem, solution.state)[0]
     edges = FREE_EDGES * abs(force) if problem.edges == "free" else 0.0
-    errors = [_difference(each, quantities) for each in comparisons]
+    errors = [_difference(each, of) for each in comparisons]
     return MeshError(
         force=sum(of_force for of_force, _ in errors) + edges,
         stress=np.sum([of_stress for _, of_stress in errors], axis=0),
