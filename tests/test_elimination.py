@@ -164,13 +164,13 @@ def test_what_is_put_back_unsolved_changes_nothing():
 def test_boxes_hold_what_is_out_of_balance_and_share_none_but_held_columns():
     imbalance = np.full((40, 50), 1e-6)
     imbalance[3, 4], imbalance[6, 10], imbalance[30, 49] = 1.0, 0.7, 0.5
-    boxes = unbalanced_columns(imbalance, 3, 0.35)
+    boxes = unbalanced_columns(imbalance, 3, 0.35, 0.9)
     assert boxes == [(slice(0, 11), slice(0, 15)), (slice(26, 35), slice(45, 50))]
-    assert unbalanced_columns(imbalance, 1, 0.35)[:2] == [
+    assert unbalanced_columns(imbalance, 1, 0.35, 0.9)[:2] == [
         (slice(1, 6), slice(2, 7)),
         (slice(4, 9), slice(8, 13)),
     ]
-    assert unbalanced_columns(np.ones((40, 50)), 3, 0.35) == []
+    assert unbalanced_columns(np.ones((40, 50)), 3, 0.35, 0.9) == []
 
 
 #: So that two ways to an equilibrium can be told apart by less than they are let to differ.

@@ -25,12 +25,9 @@ Box = tuple[slice, slice]
 #: Where columns were cut out, as a layer of their own, and its state.
 Part = tuple[Box, LayerProblem, LayerState]
 
-#: Share of what is out of balance that the columns to be solved hold.
-_SHARE = 0.9
 
-
-def unbalanced_columns(imbalance: Array, margin: int, most: float) -> list[Box]:
-    """Boxes around the columns that hold most of what is out of balance.
+def unbalanced_columns(imbalance: Array, margin: int, most: float, share: float) -> list[Box]:
+    """Boxes around the columns that hold a share of what is out of balance.
 
     Parameters
     ----------
@@ -41,6 +38,8 @@ def unbalanced_columns(imbalance: Array, margin: int, most: float) -> list[Box]:
     most
         Share of all columns that they may be, their margin included: of more, no part is a small
         one.
+    share
+        Of the sum of ``imbalance``.
 
     Returns
     -------
@@ -49,7 +48,7 @@ def unbalanced_columns(imbalance: Array, margin: int, most: float) -> list[Box]:
     """
     order = np.argsort(imbalance, axis=None)[::-1]
     sums = np.cumsum(imbalance.ravel()[order])
-    count = int(np.searchsorted(sums, _SHARE * sums[-1])) + 1
+    count = int(np.searchsorted(sums, share * sums[-1])) + 1
     chosen = np.zeros(imbalance.shape, bool)
     chosen.ravel()[order[:count]] = True
     around = np.ones((3, 3), bool)

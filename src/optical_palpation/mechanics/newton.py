@@ -119,7 +119,8 @@ class Due:
     """When the columns that are out of balance are solved alone.
 
     After ``first`` iterations, where the ``last`` ones left more than a share ``left`` of the
-    error, and the columns are at most a share ``most`` of the layer. In a layer that was
+    error, and the columns that hold a ``share`` of its square are at most a share ``most`` of the
+    layer. In a layer that was
     ``carried`` to another grid only those at free sides are solved: others have to keep their
     volume, and push all around them. Their volumes may be as much looser than the whole layer's as
     their forces, and where they find no equilibrium what is nearest to one will do. Where the load
@@ -130,6 +131,7 @@ class Due:
     first: int
     last: int
     left: float
+    share: float
     most: float
     carried: bool
 
@@ -137,8 +139,8 @@ class Due:
 #: Where Newton's method is slow; and in a layer that was carried over to a fine grid, where an
 #: iteration of the whole takes as long as many of a small part, or that is guided by a similar one,
 #: from which a few columns of the rim are soon all that differs.
-SLOW = Due(4, 2, 0.5, 0.35, carried=False)
-CARRIED = Due(2, 1, 0.1, 0.06, carried=True)
+SLOW = Due(first=4, last=2, left=0.5, share=0.9, most=0.35, carried=False)
+CARRIED = Due(first=1, last=1, left=0.1, share=0.7, most=0.06, carried=True)
 
 
 @dataclass
@@ -428,7 +430,7 @@ class _Elimination:
             return None
         if errors[-1] <= due.left * errors[-1 - due.last]:
             return None
-        boxes = unbalanced_columns(now.columns, self.margin, due.most)
+        boxes = unbalanced_columns(now.columns, self.margin, due.most, due.share)
         if due.carried:
             boxes = [box for box in boxes if at_free_side(self.problem, box)]
         if not boxes:

@@ -96,8 +96,8 @@ def empty_stencil(node_shape: tuple[int, int, int]) -> Stencil:
 @contextmanager
 def threads_for(node_shape: tuple[int, ...]) -> Iterator[None]:
     """Leave small grids to one thread."""
-    allowed = nb.get_num_threads()
-    if allowed == 1 or math.prod(node_shape) >= _NODES_OF_ONE_THREAD:
+    small = math.prod(node_shape) < _NODES_OF_ONE_THREAD
+    if not small or (allowed := nb.get_num_threads()) == 1:
         yield
         return
     given = _allowed.set(max(allowed, _allowed.get()))
