@@ -166,6 +166,7 @@ def test_boxes_hold_what_is_out_of_balance_and_share_none_but_held_columns():
     imbalance[3, 4], imbalance[6, 10], imbalance[30, 49] = 1.0, 0.7, 0.5
     boxes = unbalanced_columns(imbalance, 3, 0.35, 0.9)
     assert boxes == [(slice(0, 11), slice(0, 15)), (slice(26, 35), slice(45, 50))]
+    assert unbalanced_columns(imbalance, 3, 0.35, 0.7) == boxes[:1]
     assert unbalanced_columns(imbalance, 1, 0.35, 0.9)[:2] == [
         (slice(1, 6), slice(2, 7)),
         (slice(4, 9), slice(8, 13)),

@@ -120,12 +120,11 @@ class Due:
 
     After ``first`` iterations, where the ``last`` ones left more than a share ``left`` of the
     error, and the columns that hold a ``share`` of its square are at most a share ``most`` of the
-    layer. In a layer that was
-    ``carried`` to another grid only those at free sides are solved: others have to keep their
-    volume, and push all around them. Their volumes may be as much looser than the whole layer's as
-    their forces, and where they find no equilibrium what is nearest to one will do. Where the load
-    is followed with no similar layer to guide it none of this pays: thin layers that stick ask for
-    volumes as good as the whole layer's.
+    layer. In a layer that was ``carried`` to another grid only those at free sides are solved:
+    others have to keep their volume, and push all around them. Their volumes may be as much looser
+    than the whole layer's as their forces, and where they find no equilibrium what is nearest to
+    one will do. Where the load is followed with no similar layer to guide it none of this pays:
+    thin layers that stick ask for volumes as good as the whole layer's.
     """
 
     first: int
