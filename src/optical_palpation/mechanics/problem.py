@@ -141,12 +141,10 @@ class LayerProblem:
         Unloaded positions, (3, points, nz, n), mm, and heights before and at the full load, (2,
         points, nz, n), mm: in proportion to the load in between.
         """
-        facets = self.side_facets
-        everywhere = np.ones(facets.area.shape[1:], bool)
-        points = facets.at_points(self.grid.nodes, everywhere).reshape(3, *facets.area.shape)
+        points = self.side_facets.at_points(self.grid.nodes, ...)
         x, y = np.ascontiguousarray(points[:2, :, 0])  # all points of a column lie on one line
-        heights = [self.imprint.evaluate(x, y, load)[0] for load in (0.0, 1.0)]
-        return points, np.stack(heights)[:, :, None].repeat(points.shape[2], axis=2)
+        heights = np.stack([self.imprint.evaluate(x, y, load)[0] for load in (0.0, 1.0)])
+        return points, np.broadcast_to(heights[:, :, None], (2, *points.shape[1:]))
 
     def hold_sides(self, field: NDArray, value: float | bool) -> None:
         """Set a nodal field (3, ...) to a value where sides have no displacement."""

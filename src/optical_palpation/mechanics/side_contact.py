@@ -18,6 +18,7 @@ last accepted load. A face that is glued has none for the sides.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import EllipsisType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -76,8 +77,11 @@ class Facets:
     depth: Array
     area: Array
 
-    def at_points(self, field: Array, these: NDArray[np.bool_]) -> Array:
-        """A nodal field (c, nz + 1, ny + 1, nx + 1) at the points of ``these``, (c, points, m)."""
+    def at_points(self, field: Array, these: NDArray[np.bool_] | EllipsisType) -> Array:
+        """A nodal field (c, nz + 1, ny + 1, nx + 1) at the points of ``these``, (c, points, m).
+
+        Of all of them, ``...``, it is (c, points, nz, n).
+        """
         corners = field[:, *self.nodes[:, :, these]]
         return np.tensordot(self.shape, corners, (1, 1)).swapaxes(0, 1)
 
