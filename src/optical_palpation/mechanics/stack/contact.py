@@ -19,7 +19,7 @@ from .. import friction as law
 from ..contact import STIFF, smooth_maximum
 from ..faces import area_vectors
 from ..friction import friction_direction, look_ahead
-from .linear import Coupling, Surface
+from .linear import ContactTangent, Coupling, Surface
 from .projection import Projection
 
 Array = NDArray[np.float64]
@@ -137,32 +137,55 @@ class ContactTerms:
     ) -> Coupling:
         """Return the contact with the surface of another body as the linear solver takes it."""
         projection = self.projection
-        anchor, first = self.state.anchor, master.flat[0]
-
-        def matrix(at: Projection, values: Array) -> sp.csr_matrix:
-            rows = np.repeat(np.arange(slaves.size), values.shape[1])
-            entries = values.ravel(), (rows, at.nodes[:, 1:].ravel() - first)
-            return sp.csr_matrix(entries, shape=(slaves.size, master.size))
-
-        normal = np.maximum(self.state.force, 0.0)[:, None]
-        force = normal * projection.push
-        force[:, :2] -= normal * friction.sliding + friction.traction
-        area = area_vectors(np.moveaxis(position[master], -1, 0))
         assert projection.turning is not None
-        assert projection.neighbours is not None
+        numbers = np.zeros(position.shape[0], np.intp)
+        numbers[slaves.ravel()] = np.arange(slaves.size)
+        numbers[master.ravel()] = slaves.size + np.arange(master.size)
+        masters = numbers[projection.nodes[:, 1:]] - slaves.size
+        area = area_vectors(np.moveaxis(position[master], -1, 0))
         return Coupling(
             surface=self.surface(slaves.shape, friction),
-            weights=matrix(projection, -projection.weights[:, 1:]),
-            gradient=(
-                matrix(projection, projection.gradient[:, 1:, 0]),
-                matrix(projection, projection.gradient[:, 1:, 1]),
-            ),
-            reference=matrix(anchor, -anchor.weights[:, 1:]),
-            force=force,
-            turning=normal[:, :, None, None] * projection.turning,
-            neighbours=projection.neighbours - slaves.flat[0],
+            weights=_rows(masters, -projection.weights[:, 1:], master.size),
+            tangent=self.tangent(friction, numbers, slaves.size + master.size),
+            turning=np.maximum(self.state.force, 0.0)[:, None, None, None] * projection.turning,
             slope=-area[:2] / area[2],
         )
+
+    def tangent(self, friction: ContactFriction, numbers: Numbers, size: int) -> ContactTangent:
+        """Derivative of its forces by displacements; ``numbers`` counts the nodes, up to size."""
+        at, anchor = self.projection, self.state.anchor
+        normal = np.maximum(self.state.force, 0.0)
+        force = normal[:, None] * at.push
+        force[:, :2] -= normal[:, None] * friction.sliding + friction.traction
+        n, ways = normal.size, np.arange(2)
+        width = 3 * size
+
+        def unknowns(nodes: Numbers, count: int) -> Numbers:
+            """Of each slave, the first ``count`` unknowns of these nodes."""
+            return (3 * numbers[nodes][..., None] + np.arange(count)).reshape(n, -1)
+
+        nodes = 3 * numbers[at.nodes][:, None] + ways[:, None]
+        slips = friction.stiffness[:, :, None] * anchor.weights[:, None, :, None]
+        lateral = slips.reshape(n, 2, -1)
+        columns = unknowns(anchor.nodes, 2)
+        if at.turning is not None:
+            assert at.neighbours is not None
+            turns = -normal[:, None, None, None] * np.moveaxis(at.turning, 2, 1)
+            lateral = np.concatenate([lateral, turns.reshape(n, 2, -1)], -1)
+            columns = np.concatenate([columns, unknowns(at.neighbours, 3)], -1)
+        shares = np.moveaxis(at.gradient, 2, 1)[..., None] * force[:, None, None]
+        both = lambda of_slave: np.repeat(of_slave, 2, axis=0)  # noqa: E731
+        return ContactTangent(
+            way=_rows(nodes.reshape(2 * n, -1), both(at.weights), width),
+            lateral=_rows(both(columns), lateral.reshape(2 * n, -1), width),
+            shares=_rows(both(unknowns(at.nodes, 3)), shares.reshape(2 * n, -1), width),
+        )
+
+
+def _rows(columns: Numbers, values: Array, width: int) -> sp.csr_matrix:
+    """Sparse matrix of as many entries in each row; both (rows, entries)."""
+    starts = np.arange(0, values.size + 1, values.shape[1])
+    return sp.csr_matrix((values.ravel(), columns.ravel(), starts), shape=(len(values), width))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ on its own grid. The pressures are preconditioned as in ``krylov``.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -73,24 +74,46 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
+class ContactTangent:
+    """Derivative of what a contact puts on the nodes, but for what follows from N, in factors.
+
+    All have a row for x and y of each slave, and columns for x, y and z of each node: ``way`` is
+    how far the slave moves from where the master was, ``lateral`` the stiffness by which its
+    lateral force changes, by friction and by the turning of its faces, mN / mm, and ``shares`` what
+    the nodes get of the whole force less for a unit of the way, mN / mm.
+    """
+
+    way: sp.csr_matrix
+    lateral: sp.csr_matrix
+    shares: sp.csr_matrix
+
+    def astype(self, dtype: type) -> ContactTangent:
+        """Return it in another precision."""
+        return ContactTangent(*(m.astype(dtype) for m in (self.way, self.lateral, self.shares)))
+
+    def __matmul__(self, u: NDArray[Any]) -> NDArray[Any]:
+        """Forces by displacements, node by node."""
+        return self.way.T @ (self.lateral @ u) + self.shares.T @ (self.way @ u)
+
+    def matrix(self) -> sp.csr_matrix:
+        """Return it as one matrix."""
+        return sp.csr_matrix(self.way.T @ self.lateral + self.shares.T @ self.way)
+
+
+@dataclass(frozen=True, eq=False)
 class Coupling:
     """How the slaves, the nodes of a face, hang on the master's face of the other body.
 
-    Numbers of nodes are those on the faces. ``surface`` is the linearised contact of the slaves,
-    ``weights`` w (slaves, masters) of the masters where the slaves are, ``gradient`` theirs along x
-    and y, ``reference`` those from where slip is measured. ``force`` (slaves, 3) is that of contact
-    on a slave, mN; ``turning`` (slaves, 9, 2, 3) the derivative of its lateral part by the
-    positions of the ``neighbours`` (slaves, 9). ``slope`` (2, ny + 1, nx + 1) is that of the
-    master's surface.
+    ``surface`` is the linearised contact of the slaves, ``weights`` w (slaves, masters) of the
+    masters where the slaves are; ``tangent`` counts the slaves first, then the masters.
+    ``turning`` (slaves, 9, 2, 3), mN / mm, is the derivative of a slave's lateral force by the
+    positions of those around it, ``slope`` (2, ny + 1, nx + 1) that of the master's surface.
     """
 
     surface: Surface
     weights: sp.csr_matrix
-    gradient: tuple[sp.csr_matrix, sp.csr_matrix]
-    reference: sp.csr_matrix
-    force: Array
+    tangent: ContactTangent
     turning: Array
-    neighbours: NDArray[np.intp]
     slope: Array
 
 
@@ -245,7 +268,8 @@ class _System:
         # The uniform pressures are what cosine modes miss most: they are solved for by themselves.
         uniform = np.zeros((2, 2))
         for n, mode in enumerate(modes):
-            change = self.volume_change(self.displace(self.masked(self.pressure_force(mode))))
+            # glued, they move as little under the same pressure everywhere as if they slid
+            change = self.volume_change(self._glued(self.masked(self.pressure_force(mode))))
             uniform[:, n] = [part.sum(dtype=np.float64) for part in change]
             uniform[n, n] += self.compressibility[n].sum(dtype=np.float64)
         self.uniform = np.linalg.inv(uniform)
@@ -444,9 +468,8 @@ class _System:
 
     def _operator(self, v: Vector, out: Vector) -> None:
         u, p = self._split(v)
-        force = self.pressure_force([c * q for c, q in zip(self.coupling, p, strict=True)])
         change = self.volume_change(u)
-        balance = self.masked([a + b for a, b in zip(self.product(u), force, strict=True)])
+        balance = self.masked([a + b for a, b in zip(self.product(u), self._pressed, strict=True)])
         out[:] = self._join(
             self._shared(balance),
             [
@@ -465,10 +488,11 @@ class _System:
             share = np.float32(means[n] / self.softness[n].sum(dtype=np.float64))
             p.append(-schur.solve(change[n] - share * self.softness[n]))
             p[n] -= np.float32(levels[n])
-        pressed = self.pressure_force([c * q for c, q in zip(self.coupling, p, strict=True)])
+        # multiplied next
+        self._pressed = self.pressure_force([c * q for c, q in zip(self.coupling, p, strict=True)])
         for body, k, left_to_it in self.shares:
             force[body][:, k] /= left_to_it
-        left = self.masked([f - q for f, q in zip(force, pressed, strict=True)])
+        left = self.masked([f - q for f, q in zip(force, self._pressed, strict=True)])
         out[:] = self._join(self.displace(left), p)
 
     def _shared(self, force: list[Vector]) -> list[Vector]:
@@ -500,18 +524,13 @@ class _Link:
         surface = interface.surface
         flat = lambda a: a.reshape(*a.shape[:-2], -1).astype(np.float32)  # noqa: E731
         self.row, self.column = flat(surface.row), flat(surface.column)
-        self.friction, self.slope = flat(surface.friction), flat(interface.slope)
+        self.slope = flat(interface.slope)
         self.frame_row, self.frame_column = surface.row, surface.column
         self.frame_slope = interface.slope
-        self.weights, self.reference = (
-            m.astype(np.float32) for m in (interface.weights, interface.reference)
-        )
+        self.weights = interface.weights.astype(np.float32)
         self.given = self.weights.T.tocsr()
-        self.gradient = [m.astype(np.float32) for m in interface.gradient]
-        self.gradient_given = [m.T.tocsr() for m in self.gradient]
-        self.force = interface.force.astype(np.float32)
+        self.tangent = interface.tangent.astype(np.float32)
         self.turning = interface.turning.astype(np.float32)
-        self.neighbours = interface.neighbours
 
     def _faces(self, fields: list[Vector]) -> tuple[Vector, Vector]:
         """Views of the slaves and the masters, (3, ny + 1, nx + 1)."""
@@ -540,18 +559,11 @@ class _Link:
 
     def add_contact(self, u: list[Vector], force: list[Vector]) -> None:
         """Add friction and the turning of contact forces to the forces by a displacement."""
-        slave, master = (face.reshape(3, -1).T for face in self._faces(u))
-        lateral = slave[:, :2] - self.reference @ master[:, :2]
-        moved = slave - self.weights @ master
-        on_slave = np.einsum("cdn,nd->nc", self.friction, lateral)
-        on_slave -= np.einsum("nbcd,nbd->nc", self.turning, slave[self.neighbours])
-        on_master = np.zeros_like(master)
-        on_master[:, :2] = -(self.given @ on_slave)
-        for given, way in zip(self.gradient_given, moved[:, :2].T, strict=True):
-            on_master += given @ (self.force * way[:, None])
-        slave_force, master_force = self._faces(force)
-        slave_force[:2] += on_slave.T.reshape(slave_force[:2].shape)
-        master_force += on_master.T.reshape(master_force.shape)
+        moved = np.concatenate([face.reshape(3, -1).T for face in self._faces(u)])
+        put = (self.tangent @ moved.ravel()).reshape(-1, 3).T
+        for face in self._faces(force):
+            face += put[:, : face[0].size].reshape(face.shape)
+            put = put[:, face[0].size :]
 
     def to_frame(self, plane: Vector, body: int, k: int) -> None:
         """Transform a plane of stencils to displacements normal to the interface (in place)."""

@@ -17,9 +17,9 @@ from ..direct import sparse_matrix
 from ..elements import GRADIENTS, internal_force
 from ..factors import Dissection, Factors
 from ..side_contact import SideTangent
-from .contact import ContactFriction, ContactTerms
+from .contact import ContactTerms
 from .newton import balance, linearised_friction
-from .problem import INTERFACE, LAYER, PLATE, SAMPLE, Stack, State
+from .problem import LAYER, PLATE, SAMPLE, Stack, State
 
 Array = NDArray[np.float64]
 
@@ -55,6 +55,7 @@ class Tangent:
         matrix = sp.csr_matrix(sp.block_diag(blocks))
         for pressing in self._sides:
             matrix = matrix + pressing
+        numbers = np.arange(stack.n_nodes)
         #: Force of each contact's slaves by displacement, (slaves, 3 n_nodes), mN / mm.
         self.contact_forces: list[sp.csr_matrix] = []
         #: Force of each contact by penetration, (slaves), mN / mm, and what it puts on the nodes.
@@ -68,8 +69,7 @@ class Tangent:
             self.rows.append(rows)
             self.contact_forces.append(forces)
             matrix = matrix + rows.T @ forces
-            matrix = matrix + _friction(term, friction, stack.n_nodes)
-        matrix = matrix + _interface(stack, now.terms[INTERFACE], frictions[INTERFACE])
+            matrix = matrix + term.tangent(friction, numbers, stack.n_nodes).matrix()
         hold = _HOLD * stack.shear_modulus * stack.bodies[LAYER].grid.spacing[2]
         matrix = matrix + hold * sp.eye_array(matrix.shape[0])
         lateral = [body.nodes[:2].reshape(2, -1).T for body in stack.bodies]
@@ -149,54 +149,6 @@ def _penetration(term: ContactTerms, n_nodes: int) -> sp.csr_matrix:
     projection = term.projection
     by_nodes = -projection.weights[:, :, None] * projection.direction[:, None, :]
     return _matrix(by_nodes, term, n_nodes)
-
-
-def _lateral(nodes: NDArray[np.intp], weights: Array, n_nodes: int) -> list[sp.csr_matrix]:
-    """Lateral offsets x and y (slaves, 3 n_nodes) of slaves from points of the master."""
-    n, q = nodes.shape
-    rows = np.repeat(np.arange(n), q)
-    return [
-        sp.csr_matrix((weights.ravel(), (rows, (3 * nodes + c).ravel())), shape=(n, 3 * n_nodes))
-        for c in range(2)
-    ]
-
-
-def _friction(term: ContactTerms, friction: ContactFriction, n_nodes: int) -> sp.csr_matrix:
-    """Derivative of friction by the slip since the last load."""
-    projection, anchor = term.projection, term.state.anchor
-    slip = _lateral(anchor.nodes, anchor.weights, n_nodes)
-    acts = _lateral(projection.nodes, projection.weights, n_nodes)
-    stiffness = friction.stiffness
-    parts = [
-        acts[c].T @ sp.diags_array(stiffness[:, c, d]) @ slip[d] for c in range(2) for d in range(2)
-    ]
-    return sp.csr_matrix(sum(parts[1:], parts[0]))
-
-
-def _interface(stack: Stack, term: ContactTerms, friction: ContactFriction) -> sp.csr_matrix:
-    """Turning of contact forces with the slave's faces, and their way over the master's."""
-    projection, n_nodes = term.projection, stack.n_nodes
-    normal = np.maximum(term.state.force, 0.0)
-    neighbours, turning = projection.neighbours, projection.turning
-    assert neighbours is not None
-    assert turning is not None
-    acts = _lateral(projection.nodes, projection.weights, n_nodes)
-    n = neighbours.shape[0]
-    rows = np.repeat(np.arange(n), 27)
-    columns = (3 * neighbours[:, :, None] + np.arange(3)).ravel()
-    matrix = sp.csr_matrix((3 * n_nodes, 3 * n_nodes))
-    for c in range(2):
-        values = (normal[:, None, None] * turning[:, :, c]).ravel()
-        turn = sp.csr_matrix((values, (rows, columns)), shape=(n, 3 * n_nodes))
-        matrix = matrix - acts[c].T @ turn
-    # The shares of the master's nodes change as the slave moves over its surface.
-    force = normal[:, None] * projection.push
-    force[:, :2] -= normal[:, None] * friction.sliding
-    for way in range(2):
-        values = projection.gradient[:, :, way, None] * force[:, None, :]
-        shares = _matrix(values, term, n_nodes)
-        matrix = matrix + shares.T @ acts[way]
-    return sp.csr_matrix(matrix)
 
 
 def shape_forces(body: Body, u: Array, p: Array) -> tuple[Array, Array]:
