@@ -7,6 +7,7 @@ from optical_palpation.mechanics import cascade
 from optical_palpation.mechanics.effort import counted, spend
 from optical_palpation.mechanics.path import TOO_LONG, LoadNotReached
 from optical_palpation.palpation import computational_stress
+from optical_palpation.palpation.sensitivity import changes
 from tilted_case import GIVEN, SILICONE, bound, problem, tilted
 
 SHAPE = 5, 10, 20
@@ -38,6 +39,14 @@ def test_effort_grows_with_the_elements_and_not_with_the_machine():
     assert small == spent(problem())
     assert spent(problem(size=0.125), solver="direct") > spent(problem(), solver="direct") > 0
     assert spent(problem(size=0.125)) > small
+
+
+def test_neighbours_do_not_count():
+    """They must not keep a layer from arriving."""
+    beside = changes(problem())
+    assert spent(problem(), neighbours=beside) == spent(problem())
+    assert len(beside.states) == 6
+    assert not beside.failure
 
 
 def test_a_layer_that_takes_too_long_is_given_up(monkeypatch):

@@ -1,15 +1,18 @@
 """Derivatives of force and stress by the inputs, and the error bands made of them."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 
 from optical_palpation.errors import InputError
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.mechanics import neighbours
+from optical_palpation.mechanics import neighbours, newton
+from optical_palpation.mechanics.direct import DirectSolver
 from optical_palpation.mechanics.iteration import NotConverged
-from optical_palpation.palpation import InputErrors, computational_stress
+from optical_palpation.mechanics.path import TOO_LONG
+from optical_palpation.palpation import InputErrors, computational_stress, sensitivity
 from optical_palpation.present import read_result, summarise, write_result
 from optical_palpation.thickness import thickness_map
 
@@ -173,6 +176,46 @@ def test_neighbours_that_do_not_arrive_at_once_go_on_in_smaller_increments(monke
     np.testing.assert_allclose(
         careful.sensitivities["force"], result.sensitivities["force"], rtol=0.05
     )
+
+
+def test_neighbours_that_take_too_long_are_given_up(monkeypatch, result):
+    monkeypatch.setattr(neighbours, "PATIENCE", 0.05)
+    hurried = press(InputErrors())
+    assert force(hurried) == force(result)
+    assert "error from the inputs: unknown (a slightly different layer" in summarise(hurried)
+    assert TOO_LONG in hurried.sensitivities.attrs["failure"]
+
+
+def test_a_path_for_neighbours_alone_is_given_up(monkeypatch, result):
+    """Where the path of the solution is on too fine a grid to follow them beside it."""
+    monkeypatch.setattr(sensitivity, "_PATH_ELEMENTS", 100)
+    assert not press(InputErrors()).sensitivities.failure
+    monkeypatch.setattr(sensitivity, "patience_with", lambda _: 0.01)
+    hurried = press(InputErrors())
+    assert force(hurried) == force(result)
+    assert re.match(r"on [\d,]+ elements the layer .*too long", hurried.sensitivities.failure)
+
+
+def test_neighbours_by_the_exact_solver_are_the_same(monkeypatch, result):
+    """It takes over where the iterative one hardly gets there; here it is said never to."""
+    monkeypatch.setattr(newton, "_LONG", 1)
+    found, exact = neighbours.equilibrate_by, []
+
+    def watched(system, problem, state, solver, tolerances):
+        exact.append(isinstance(solver, DirectSolver))
+        return found(system, problem, state, solver, tolerances)
+
+    monkeypatch.setattr(neighbours, "equilibrate_by", watched)
+    by_factors = press(InputErrors())
+    assert force(by_factors) == pytest.approx(force(result), rel=1e-4)
+    assert np.mean(exact) > 0.8
+    for name in ("force", "axial_stress"):
+        np.testing.assert_allclose(
+            by_factors.sensitivities[name],
+            result.sensitivities[name],
+            rtol=0.01,
+            atol=0.01 * float(np.abs(result.sensitivities[name]).max()),
+        )
 
 
 def test_none_where_none_are_asked_for():

@@ -602,15 +602,18 @@ class _Nested:
         whole = begin.load == 0.0
         few = self.neighbours is not None and level.grid.n_elements <= self.neighbours.most
         beside = self.neighbours if few and whole else None
+        solver = self._solvers(level)
         if beside:
-            beside.begin(level, begin, make_solver(level, self.solver))
+            own = make_solver(level, self.solver)
+            apart = replace(solver, iterative=own) if isinstance(solver, Solvers) else own
+            beside.begin(level, begin, apart)
         visited: list[LayerState] = []
         kept = self.similar is not None and whole  # guides the next layer
         quick = level.grid.n_elements <= FINE
         finest = level is self.problem
         guides = kept or not finest or quick
         path = Path(
-            LoadedLayer(level, self._solvers(level), CARRIED if self.guided else SLOW),
+            LoadedLayer(level, solver, CARRIED if self.guided else SLOW),
             self._wanted(level),
             self._on_the_way,
             begin,

@@ -32,9 +32,9 @@ _counted: ContextVar[Effort | None] = ContextVar("effort", default=None)
 
 
 @contextmanager
-def counted() -> Iterator[Effort]:
-    """Count what Newton steps take from here on."""
-    effort = Effort()
+def counted(effort: Effort | None = None) -> Iterator[Effort]:
+    """Count what Newton steps take from here on, beside what was spent, and nowhere else."""
+    effort = Effort() if effort is None else effort
     before = _counted.set(effort)
     try:
         yield effort

@@ -13,9 +13,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from .contact import remember_slip
+from .effort import Effort, counted
 from .iteration import NotConverged, Tolerances
-from .newton import LinearSolver, equilibrate, equilibrate_by
-from .path import LoadNotReached
+from .newton import LinearSolver, Solvers, equilibrate, equilibrate_by
+from .path import TOO_LONG, LoadNotReached
 from .problem import LayerProblem, LayerState
 from .system import assemble
 
@@ -23,9 +24,10 @@ from .system import assemble
 Vary = Callable[[LayerProblem], LayerProblem]
 #: Between neighbours that differ by one percent in the total force.
 _TOLERANCES = Tolerances(force=1e-4, volume=1e-5, iterations=8)
-#: How often an increment of the load is halved where one of them does not arrive. What that takes
-#: counts as effort of the problem itself.
+#: How often an increment of the load is halved where one of them does not arrive.
 _HALVINGS = 1
+#: Effort, s, that they may take: on most maps they take 1 to 6 s, but hard ones without end.
+PATIENCE = 10.0
 
 
 class Neighbours:
@@ -51,7 +53,9 @@ class Neighbours:
         self.begun = False
         self.failure = "the load was not followed"
 
-    def begin(self, problem: LayerProblem, rest: LayerState, solver: LinearSolver) -> None:
+    def begin(
+        self, problem: LayerProblem, rest: LayerState, solver: LinearSolver | Solvers
+    ) -> None:
         """Begin a load path with an unloaded layer, and a linear solver for the neighbours alone.
 
         What a solver has learnt from them must not touch the problem.
@@ -59,7 +63,7 @@ class Neighbours:
         self.problems = [vary(problem) for vary in self._vary]
         self.states = [rest for _ in self._vary]
         self.begun, self.failure = True, ""
-        self._beside, self._solver = rest, solver
+        self._beside, self._solver, self._effort = rest, solver, Effort()
 
     def stop(self, failure: str) -> None:
         """Follow no further."""
@@ -70,10 +74,11 @@ class Neighbours:
         if self.failure:
             return
         before, self._beside = self._beside, state
-        try:
-            self._follow(before, state, _HALVINGS)
-        except NotConverged as failure:
-            self.stop(f"a slightly different layer {LoadNotReached(before.load, str(failure))}")
+        with counted(self._effort):
+            try:
+                self._follow(before, state, _HALVINGS)
+            except NotConverged as failure:
+                self.stop(f"a slightly different layer {LoadNotReached(before.load, str(failure))}")
 
     def _follow(self, before: LayerState, state: LayerState, halvings: int) -> None:
         """Follow from one state of the problem to another, all in increments as large.
@@ -101,21 +106,32 @@ class Neighbours:
 
         The problem itself comes first; where that is off, so are the others.
         """
-        solver = self._solver
         first, *others = self.problems
-        now, _ = equilibrate(first, trials[0], solver, _TOLERANCES)
+        now, _ = equilibrate(first, trials[0], self._solver, _TOLERANCES, self._watch)
         shifted = [_shifted(now.state, trials[0], trial) for trial in trials[1:]]
-        system = assemble(first, now, solver)
+        linear = self._solver.last if isinstance(self._solver, Solvers) else self._solver
+        system = assemble(first, now, linear)
         near = [
-            equilibrate_by(system, problem, trial, solver, _TOLERANCES)
+            equilibrate_by(system, problem, trial, linear, _TOLERANCES)
             for problem, trial in zip(others, shifted, strict=True)
         ]
         states = [now.state]
         for problem, trial, state in zip(others, shifted, near, strict=True):
             if state is None:  # its own tangents lead further
-                state = equilibrate(problem, trial, solver, _TOLERANCES)[0].state
+                own, _ = equilibrate(problem, trial, self._solver, _TOLERANCES, self._watch)
+                state = own.state
             states.append(state)
         return states
+
+    def _watch(self, *_: object) -> None:
+        """Look in each iteration whether they take too long, which is none of the problem's time.
+
+        Raises
+        ------
+        NotConverged
+        """
+        if self._effort.spent > PATIENCE:
+            raise NotConverged(TOO_LONG)
 
 
 def _shifted(state: LayerState, before: LayerState, mine: LayerState) -> LayerState:

@@ -380,11 +380,16 @@ class Solvers:
     """An iterative linear solver, and an exact one for the systems that it hardly solves.
 
     Thin layers that stick make such systems, and layers that are about to snap. They come in rows.
+    ``last`` is the one that solved the last system.
     """
 
     iterative: LinearSolver
     exact: DirectSolver
     row: int = field(default=0, init=False)
+    last: LinearSolver = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.last = self.iterative
 
     def step(
         self,
@@ -399,10 +404,12 @@ class Solvers:
             long = min(_BESIDES + int(self.exact.work / _ITERATION), _LONG)
             quickly = replace(tolerances, krylov=min(long, tolerances.krylov))
             try:
+                self.last = self.iterative
                 return _newton_step(problem, now, self.iterative, quickly, damping, eased)
             except HardSystem:
                 self.row = _ROW
         self.row -= 1
+        self.last = self.exact
         return _newton_step(problem, now, self.exact, tolerances, damping, eased)
 
 

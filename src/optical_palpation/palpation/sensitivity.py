@@ -15,9 +15,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from optical_palpation.mechanics.cascade import LoadNotReached, Solution, coarsened, solve
+from optical_palpation.mechanics.cascade import (
+    LoadNotReached,
+    Solution,
+    coarsened,
+    patience_with,
+    solve,
+)
 from optical_palpation.mechanics.grid import LayerGrid
-from optical_palpation.mechanics.neighbours import Neighbours
+from optical_palpation.mechanics.neighbours import PATIENCE, Neighbours
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
 from optical_palpation.mechanics.side_contact import outermost_height, side_contact
 from optical_palpation.palpation.mesh_error import Quantities
@@ -174,7 +180,16 @@ def _follow(
     while small.grid.n_elements > neighbours.most and min(small.grid.shape[1:]) >= 12:
         small = coarsened(small)
     neighbours.most = small.grid.n_elements
+    # a path for them alone must not take longer than the solution, or with edges of another kind
+    patience = min(patience_with(small), max(PATIENCE, solution.effort.spent))
     try:
-        solve(small, bound_guess, cascade=False, neighbours=neighbours)
+        solve(
+            small,
+            bound_guess,
+            cascade=False,
+            neighbours=neighbours,
+            patience=patience,
+            other_edges=False,
+        )
     except LoadNotReached as failure:
         neighbours.stop(f"on {small.grid.n_elements:,} elements the layer {failure}")
