@@ -268,7 +268,7 @@ class _System:
         # The uniform pressures are what cosine modes miss most: they are solved for by themselves.
         uniform = np.zeros((2, 2))
         for n, mode in enumerate(modes):
-            # glued, they move as little under the same pressure everywhere as if they slid
+            # that the slave may slide besides changes next to nothing here
             change = self.volume_change(self._glued(self.masked(self.pressure_force(mode))))
             uniform[:, n] = [part.sum(dtype=np.float64) for part in change]
             uniform[n, n] += self.compressibility[n].sum(dtype=np.float64)
@@ -488,7 +488,7 @@ class _System:
             share = np.float32(means[n] / self.softness[n].sum(dtype=np.float64))
             p.append(-schur.solve(change[n] - share * self.softness[n]))
             p[n] -= np.float32(levels[n])
-        # multiplied next
+        # the same pressures are multiplied next
         self._pressed = self.pressure_force([c * q for c, q in zip(self.coupling, p, strict=True)])
         for body, k, left_to_it in self.shares:
             force[body][:, k] /= left_to_it
