@@ -145,7 +145,7 @@ class ContactTerms:
         area = area_vectors(np.moveaxis(position[master], -1, 0))
         return Coupling(
             surface=self.surface(slaves.shape, friction),
-            weights=_rows(masters, -projection.weights[:, 1:], master.size),
+            weights=sparse_rows(masters, -projection.weights[:, 1:], master.size),
             tangent=self.tangent(friction, numbers, slaves.size + master.size),
             turning=np.maximum(self.state.force, 0.0)[:, None, None, None] * projection.turning,
             slope=-area[:2] / area[2],
@@ -176,13 +176,13 @@ class ContactTerms:
         shares = np.moveaxis(at.gradient, 2, 1)[..., None] * force[:, None, None]
         both = lambda of_slave: np.repeat(of_slave, 2, axis=0)  # noqa: E731
         return ContactTangent(
-            way=_rows(nodes.reshape(2 * n, -1), both(at.weights), width),
-            lateral=_rows(both(columns), lateral.reshape(2 * n, -1), width),
-            shares=_rows(both(unknowns(at.nodes, 3)), shares.reshape(2 * n, -1), width),
+            way=sparse_rows(nodes.reshape(2 * n, -1), both(at.weights), width),
+            lateral=sparse_rows(both(columns), lateral.reshape(2 * n, -1), width),
+            shares=sparse_rows(both(unknowns(at.nodes, 3)), shares.reshape(2 * n, -1), width),
         )
 
 
-def _rows(columns: Numbers, values: Array, width: int) -> sp.csr_matrix:
+def sparse_rows(columns: Numbers, values: Array, width: int) -> sp.csr_matrix:
     """Sparse matrix of as many entries in each row; both (rows, entries)."""
     starts = np.arange(0, values.size + 1, values.shape[1])
     return sp.csr_matrix((values.ravel(), columns.ravel(), starts), shape=(len(values), width))

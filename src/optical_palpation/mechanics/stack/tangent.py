@@ -17,7 +17,7 @@ from ..direct import sparse_matrix
 from ..elements import GRADIENTS, internal_force
 from ..factors import Dissection, Factors
 from ..side_contact import SideTangent
-from .contact import ContactTerms
+from .contact import ContactTerms, sparse_rows
 from .newton import balance, linearised_friction
 from .problem import LAYER, PLATE, SAMPLE, Stack, State
 
@@ -133,10 +133,9 @@ def _sides(stack: Stack, sides: list[SideTangent]) -> list[sp.csr_matrix]:
 def _matrix(values: Array, term: ContactTerms, n_nodes: int) -> sp.csr_matrix:
     """Sparse (slaves, 3 n_nodes) of values (slaves, q, 3) that belong to nodes."""
     nodes = term.projection.nodes
-    n, q = nodes.shape
-    rows = np.repeat(np.arange(n), 3 * q)
-    columns = (3 * nodes[:, :, None] + np.arange(3)).ravel()
-    return sp.csr_matrix((values.ravel(), (rows, columns)), shape=(n, 3 * n_nodes))
+    columns = 3 * nodes[:, :, None] + np.arange(3)
+    n = len(nodes)
+    return sparse_rows(columns.reshape(n, -1), values.reshape(n, -1), 3 * n_nodes)
 
 
 def _springs(term: ContactTerms, scale: Array) -> Array:
