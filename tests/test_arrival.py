@@ -336,7 +336,7 @@ def test_what_does_not_settle_is_nearly_converged_and_says_so(monkeypatch):
     """Where steps run out near an equilibrium that is a result, and it warns; else it is none."""
     result = tilted(0.3)
     monkeypatch.setattr(path, "_NEAR", 0.0)  # Newton's method without drag would get there
-    monkeypatch.setattr(path, "_HELD", 6)
+    monkeypatch.setattr(path, "_HELD", 5)
     way = disturbed(result)
     way.settle()
     now = balance(result.problem, way.state)

@@ -18,7 +18,7 @@ from optical_palpation.mechanics.elimination import (
 )
 from optical_palpation.mechanics.grid import LayerGrid, node_positions
 from optical_palpation.mechanics.imprint import Imprint
-from optical_palpation.mechanics.iteration import TOLERANCES, NotConverged
+from optical_palpation.mechanics.iteration import TOLERANCES, NotConverged, Tolerances
 from optical_palpation.mechanics.newton import balance, equilibrate
 from optical_palpation.mechanics.path import Drag
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
@@ -175,7 +175,7 @@ def test_boxes_hold_what_is_out_of_balance_and_share_none_but_held_columns():
 
 
 #: So that two ways to an equilibrium can be told apart by less than they are let to differ.
-EXACT = replace(TOLERANCES, force=0.1 * TOLERANCES.force)
+EXACT = Tolerances(force=1e-6, volume=1e-6)
 
 
 @pytest.fixture(scope="module")

@@ -56,10 +56,10 @@ Array = NDArray[np.float64]
 #: How much further from balance than the last equilibrium others may be: the full load on coarser
 #: grids, and smaller loads. Where the last one is loose these are not: they would end on other
 #: branches.
-_COARSER, _ON_THE_WAY = 100.0, 300.0
+_COARSER, _ON_THE_WAY = 20.0, 60.0
 #: The same of a layer that is guided by a similar one. What the guide leaves of its own differs by
 #: more than that.
-_GUIDED = 10.0
+_GUIDED = 2.0
 #: The load is followed on a grid of at most this share of the finest one's elements: it must not
 #: take longer than the finest. Below the first number that is not worth while; beyond the second,
 #: where a path begins does not change the result.
@@ -100,7 +100,7 @@ _KEPT = 0.5
 _QUARTER, _NARROWER, _PLAIN = 4, 0.5, 0.9
 #: What is as good as at rest on a coarser grid, if it came there against drag: what is left is less
 #: than what the next grid adds.
-_RESTING = 1000.0
+_RESTING = 200.0
 
 
 @dataclass
@@ -320,7 +320,7 @@ def solve(
         To be followed beside it where the grid of the load path is small enough.
     similar
         The layer solved before this one, which guides it; this one takes its place. It is then
-        brought to tolerances ten times looser by default.
+        brought to tolerances twice as loose by default.
     patience
         Effort, s, after which the load is followed no further: by default ``patience_with``.
     other_edges

@@ -29,7 +29,7 @@ _TENSION = 0.5
 #: Elements that much finer than those of the whole are reached in more than one step.
 _STEP = 3.0
 #: How much further from equilibrium the part may be left on coarser elements.
-_ON_THE_WAY = 100.0
+_ON_THE_WAY = 20.0
 
 
 def part_of(

@@ -147,7 +147,7 @@ def computational_stress(
         Where many similar layers are solved one after the other: the last of them, which says where
         Newton's method begins at each load. Each is loaded from rest all the same, and its result
         is that without it but for what the tolerances leave, mostly less than 0.5 % of the stress
-        (`docs/live.md`). These are ten times looser at the full load, and a load on the way at
+        (`docs/live.md`). These are twice as loose at the full load, and a load on the way at
         which the guide meets them is left as it suggests. This layer takes its place. The attribute
         ``guided_by_similar_layer`` says so in the result.
     progress

@@ -35,7 +35,7 @@ _SIDE = 1 / 3
 _ALLOWED = 60
 #: Load increments, longer ones than those of a result, and how much further from equilibrium a
 #: coarse solution may be than that is. Ten times more still and solutions end on another branch.
-_CONTROL, _RELAXED = StepControl(0.25, 0.5, iterations=6), 100.0
+_CONTROL, _RELAXED = StepControl(0.25, 0.5, iterations=6), 20.0
 
 
 @dataclass(frozen=True)

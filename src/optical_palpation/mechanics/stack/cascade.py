@@ -17,8 +17,9 @@ from .problem import Stack, State, at_rest, fully_loaded
 Array = NDArray[np.float64]
 Report = Callable[[Stack, float, Balance], None]
 
-#: How much further from balance an equilibrium on the way may be.
-_ON_THE_WAY = 30.0
+#: Tolerances at the full load and on the way. Bodies that press on each other under the edges of a
+#: stiff one carry forces that agree less than each body is out of balance.
+_TOLERANCES, _ON_THE_WAY = relaxed(TOLERANCES, 0.2), relaxed(TOLERANCES, 6.0)
 #: Load increments, longer ones than those of a layer on an imprint: with two and a half iterations
 #: for each the forces are the same, and a solution takes nearly half as many again.
 _CONTROL = StepControl(largest=0.3, iterations=6)
@@ -105,11 +106,10 @@ def _path(
             report(stack, load, now)
 
     loaded = LoadedStack(stack, make_solver(stack))
-    loose = relaxed(TOLERANCES, _ON_THE_WAY)
     return Path(
         loaded,
-        TOLERANCES,
-        loose,
+        _TOLERANCES,
+        _ON_THE_WAY,
         state,
         control or _CONTROL,
         on_iteration,
@@ -144,8 +144,7 @@ def _carried(
         if report:
             report(fine, state.load, now)
 
-    loose = relaxed(TOLERANCES, _ON_THE_WAY)
-    now, count = equilibrate(soft, state, make_solver(fine), loose, on_iteration)
+    now, count = equilibrate(soft, state, make_solver(fine), _ON_THE_WAY, on_iteration)
     state = _anchored(now.state, fine)
     before = replace(state, load=before.load).moved(
         state.u - step_u,
