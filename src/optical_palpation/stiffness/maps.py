@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from optical_palpation.mechanics.grid import node_positions
 from optical_palpation.mechanics.stack.assembly import Blocks
+from optical_palpation.mechanics.stack.cascade import FINAL
 from optical_palpation.mechanics.stack.newton import balance
 from optical_palpation.mechanics.stack.problem import LAYER, WINDOW
 from optical_palpation.palpation.algebraic import stress_of_pixels
@@ -236,7 +237,7 @@ def _of_load(
         "force_mesh_error_mN": band.force_of_mesh,
         "force_balance": (largest - min(window, interface, plate)) / max(largest, 1e-30),
         "edges": "free",
-        **residuals(balance(stack, state)),
+        **residuals(balance(stack, state), FINAL),
         "sides_force_share": sides / max(window, 1e-30),
     }
     return maps

@@ -19,7 +19,7 @@ Report = Callable[[Stack, float, Balance], None]
 
 #: Tolerances at the full load and on the way. Bodies that press on each other under the edges of a
 #: stiff one carry forces that agree less than each body is out of balance.
-_TOLERANCES, _ON_THE_WAY = relaxed(TOLERANCES, 0.2), relaxed(TOLERANCES, 6.0)
+FINAL, _ON_THE_WAY = relaxed(TOLERANCES, 0.2), relaxed(TOLERANCES, 6.0)
 #: Load increments, longer ones than those of a layer on an imprint: with two and a half iterations
 #: for each the forces are the same, and a solution takes nearly half as many again.
 _CONTROL = StepControl(largest=0.3, iterations=6)
@@ -108,7 +108,7 @@ def _path(
     loaded = LoadedStack(stack, make_solver(stack))
     return Path(
         loaded,
-        _TOLERANCES,
+        FINAL,
         _ON_THE_WAY,
         state,
         control or _CONTROL,
