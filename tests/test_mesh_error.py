@@ -215,7 +215,7 @@ def test_further_grids_take_no_longer_than_the_solution(monkeypatch):
 
     monkeypatch.setattr(mesh_error, "solve", slow)
     small = problem(8, depth=2)
-    for spent, most in ((0.1, 9.0), (20.0, 20.0), (48.0, 12.0), (70.0, 3.0)):
+    for spent, most in ((0.1, 9.0), (20.0, 20.0), (48.0, 6.0), (70.0, 3.0)):
         given.clear()
         solution = Solution(small, unloaded(small), effort=Effort(spent))
         mesh_error.mesh_error(solution, lambda *_: (1.0, np.zeros((4, 4))), lambda _: 0)

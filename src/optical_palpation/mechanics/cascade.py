@@ -86,7 +86,7 @@ _ITERATIONS = 1000
 #: Effort, s, after which the load of a layer of so many elements is followed no further, in
 #: proportion on more; the share of it after which coarse free edges are tried; how much more
 #: than that a loaded layer may take to come to rest, and one on a coarser grid if all else failed.
-_PATIENCE, _PATIENT, _NARROW, _AT_LAST, _LATE = 50.0, 8000, 0.3, 1.15, 1.4
+_PATIENCE, _PATIENT, _NARROW, _AT_LAST, _LATE = 45.0, 8000, 0.25, 1.05, 1.2
 #: How many times what was spent until then the load may take to follow on a fine grid to which the
 #: layer could not be carried over; and the elements beyond which that takes so long that a layer is
 #: taken as it is if what is left changes its force by no more than ``NEARLY[1]``.
@@ -358,7 +358,7 @@ def solve(
 def patience_with(problem: LayerProblem, solver: str = "multigrid") -> float:
     """Effort, s, after which the load of a layer is followed no further, unless told otherwise.
 
-    50 s on 8,000 elements and in proportion on more; without end with the direct solver.
+    45 s on 8,000 elements and in proportion on more; without end with the direct solver.
     """
     if solver == "direct":
         return np.inf
