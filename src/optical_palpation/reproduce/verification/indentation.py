@@ -74,7 +74,7 @@ def indentation(setting: Setting) -> Part:
         "(stuck) beyond the contact, which the sliding layer feels at a/h 2. Meshes of 4 and 8 "
         "elements over $a$."
     )
-    sizes = (3, 4) if setting.quick else (4, 8)
+    sizes = (2, 3) if setting.quick else (4, 8)
     cases: list[tuple[Base, float]] = [
         (base, contact) for base in ("stuck", "sliding") for contact in (0.5, 1.0, 2.0)
     ]

@@ -182,7 +182,7 @@ def strips(setting: Setting) -> Part:
         "`--element-size`, one element along y, loaded in steps of at most 4 % as theirs. The side "
         "rolls onto the window; the remarks say what the reference finds without friction there."
     )
-    sizes = (0.125, 0.0625) if setting.quick else (0.125, 0.0625, 0.03125)
+    sizes = (0.25, 0.125) if setting.quick else (0.125, 0.0625, 0.03125)
     meshes = ", ".join(f"{1e3 * size:g}" for size in sizes)
     pictures = {}
     for number, (name, title) in enumerate(TITLES.items()):
