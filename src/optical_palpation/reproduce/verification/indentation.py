@@ -64,6 +64,7 @@ def indentation_force(contact: float, base: Base, across: int, solver: str = "mu
 
 def indentation(setting: Setting) -> Part:
     """Force of a paraboloid on layers that slide or stick, and how it grows with depth."""
+    sizes = (2, 3) if setting.quick else (4, 8)
     part = Part(
         "A rigid paraboloid $z = r^2 / 2R$ on a frictionless face of a layer, $a$ the radius of "
         f"contact, $a / R$ = {_SLOPE:g}. The linear theory is Lebedev and Ufliand's integral "
@@ -71,10 +72,9 @@ def indentation(setting: Setting) -> Part:
         "and both limits of thin ones. The series of Dimitriadis et al. (*Biophys. J.* **82**, "
         "2798, 2002) is off from it by what the remarks say; our solution, which knows nothing of "
         "either, is on the side of the integral equation. It ends 8 (sliding) and 4 thicknesses "
-        "(stuck) beyond the contact, which the sliding layer feels at a/h 2. Meshes of 4 and 8 "
-        "elements over $a$."
+        "(stuck) beyond the contact, which the sliding layer feels at a/h 2. Meshes of "
+        f"{sizes[0]} and {sizes[1]} elements over $a$."
     )
-    sizes = (2, 3) if setting.quick else (4, 8)
     cases: list[tuple[Base, float]] = [
         (base, contact) for base in ("stuck", "sliding") for contact in (0.5, 1.0, 2.0)
     ]

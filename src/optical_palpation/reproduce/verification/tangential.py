@@ -93,14 +93,15 @@ def sideways(moved: float, across: int) -> tuple[float, float]:
 
 def tangential(setting: Setting) -> Part:
     """Radius of the stick zone at two displacements."""
+    sizes = (2, 3) if setting.quick else (4, 8)
     part = Part(
         "A paraboloid is pressed on, without friction, and then moved sideways with friction "
         f"{_FRICTION:g}. The middle sticks, the rim slips: $c / a = (1 - Q / f P)^{{1/3}}$ "
         "(Cattaneo 1938, Mindlin 1949), for a half-space; the layer here is four times as thick "
         "as the contact is wide in radius, and $Q$ and $P$ are those of the solution. A node "
-        "sticks where friction is below 0.9 of its bound. Meshes of 4 and 8 elements over $a$."
+        f"sticks where friction is below 0.9 of its bound. Meshes of {sizes[0]} and {sizes[1]} "
+        "elements over $a$."
     )
-    sizes = (2, 3) if setting.quick else (4, 8)
     for number, moved in enumerate((0.3, 0.6)):
         setting.tell(number / 2, f"moved by {moved:g} of the slip displacement")
         found = [sideways(moved, across) for across in sizes]

@@ -54,14 +54,14 @@ def response(nodes: int, depth: int, base: Base, thickness: float = 0.4) -> floa
 
 def waves(setting: Setting) -> Part:
     """Transfer function at three thicknesses."""
+    sizes = (5, 10) if setting.quick else (10, 20)
     part = Part(
         "An imprint with a small wave of 1 mm, $u = \\hat u \\cos kx$, on a layer pressed evenly: "
         "$\\hat p / \\hat u = 2 \\mu k (\\sinh a \\cosh a + a) / \\sinh^2 a$ with $a = kh$ for a "
         "layer that slides at the window, $2 \\mu k (\\cosh^2 a + a^2) / (\\sinh a \\cosh a - a)$ "
-        "for one that is glued to it. Meshes of 10 and 20 elements per wave, "
+        f"for one that is glued to it. Meshes of {sizes[0]} and {sizes[1]} elements per wave, "
         "and as high as wide."
     )
-    sizes = (5, 10) if setting.quick else (10, 20)
     cases: tuple[tuple[Base, float], ...] = (("sliding", 0.4), ("stuck", 0.4), ("stuck", 0.2))
     for number, (base, thickness) in enumerate(cases):
         setting.tell(number / len(cases), f"wave, {base}, {thickness:g} mm")
