@@ -86,6 +86,19 @@ def test_number_of_threads_changes_no_bit(shape):
     np.testing.assert_array_equal(*solutions)
 
 
+def test_single_precision_is_as_good_as_its_digits():
+    rng = np.random.default_rng(0)
+    order = dissection((3, 40, 9))
+    matrix = matrix_on(order.graph, rng)
+    unknowns = np.arange(matrix.shape[0]).reshape(-1, 3)
+    rhs = rng.standard_normal((matrix.shape[0], 40))
+    double, single = (
+        Factors(matrix, order, unknowns, kind).solve(rhs) for kind in (np.float64, np.float32)
+    )
+    error = np.abs(single - double).max() / np.abs(double).max()
+    assert 1e-9 < error < 1e-5  # less would be double precision under another name
+
+
 def test_work_grows_little_faster_than_the_nodes_of_a_sheet():
     small, large = (dissection((3, n, n)).operations for n in (20, 40))
     assert 4.0 < large / small < 11.0  # of a full matrix it would be 64

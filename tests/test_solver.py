@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.sparse.linalg import splu
 
 from optical_palpation.material import MooneyRivlin
-from optical_palpation.mechanics.direct import DirectSolver
+from optical_palpation.mechanics.direct import DirectSolver, factors_of, sparse_matrix
 from optical_palpation.mechanics.grid import LayerGrid, graded_depths
 from optical_palpation.mechanics.imprint import Imprint
 from optical_palpation.mechanics.iteration import (
@@ -21,7 +22,7 @@ from optical_palpation.mechanics.iteration import (
 from optical_palpation.mechanics.krylov import MultigridSolver, gmres
 from optical_palpation.mechanics.newton import balance, equilibrate, equilibrate_by
 from optical_palpation.mechanics.problem import LayerProblem, LayerState
-from optical_palpation.mechanics.system import RightHandSide, assemble
+from optical_palpation.mechanics.system import RightHandSide, assemble, with_prescribed
 
 
 def pressed(n: int, depth: int, edges: str = "free") -> tuple[LayerProblem, LayerState]:
@@ -70,6 +71,39 @@ def test_newton_step_equals_the_direct_one():
         steps.append(solver.solve(out_of_balance(problem, state, solver), 1e-6)[:2])
     for fast, exact in zip(*steps, strict=True):
         assert_allclose(fast, exact, atol=2e-3 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize(("bulk_to_shear", "attempts"), [(1e2, 8), (1e4, 8), (1e8, 4)])
+def test_direct_step_is_that_of_double_precision(monkeypatch, bulk_to_shear, attempts):
+    """Single precision is tried more and more rarely where it loses the shear modulus."""
+    problem, state = pressed(8, 3)
+    problem = replace(problem, law=MooneyRivlin(2.23, 0.703, bulk_to_shear))
+    solver = DirectSolver(problem.grid.node_shape, problem.bulk_modulus)
+    rhs = out_of_balance(problem, state, solver)
+    matrix = sparse_matrix(solver.system.stencil, solver.system.free)
+    found = splu(matrix.tocsc()).solve(rhs.displacement.astype(float).ravel())
+    expected = with_prescribed(found.reshape(rhs.displacement.shape), rhs.prescribed)
+    tried = []
+
+    def factors(matrix, shape, dtype=np.float64):
+        tried.append(dtype)
+        return factors_of(matrix, shape, dtype)
+
+    monkeypatch.setattr("optical_palpation.mechanics.direct.factors_of", factors)
+    for _ in range(8):
+        error = np.linalg.norm(solver.solve(rhs, 0.0)[0] - expected)
+        assert error < 1e-5 * np.linalg.norm(expected)
+    assert tried.count(np.float32) == attempts
+    assert tried.count(np.float64) == (0 if attempts == 8 else 8)
+
+
+def test_direct_step_of_a_layer_in_equilibrium_is_none():
+    problem, state = pressed(8, 3)
+    solver = DirectSolver(problem.grid.node_shape, problem.bulk_modulus)
+    rhs = out_of_balance(problem, state, solver)
+    rhs.displacement[:] = 0.0
+    rhs.prescribed[:] = 0.0
+    assert not solver.solve(rhs, 0.0)[0].any()
 
 
 def test_what_stiff_contact_takes_up_does_not_drown_the_forces_in_the_body():

@@ -18,10 +18,20 @@ from .stencil import all_threads
 from .system import NewtonSystem, RightHandSide, with_prescribed
 
 Vector = NDArray[np.floating]
+Array = NDArray[np.float64]
+
+#: Corrections of a displacement by factors in single precision end where another one would change
+#: no more than this share of it, and no more than this share of the forces is out of balance.
+_EXACT, _BALANCED = 1e-4, 1e-6
+#: Most of a correction that the next one may be: where they shrink more slowly, double precision is
+#: cheaper.
+_SHRINK = 0.25
+#: Most systems that are solved in double precision before single precision is tried again.
+_LONGEST = 64
 
 
 class DirectSolver:
-    """Solve Newton systems exactly.
+    """Solve Newton systems exactly: no closer to a solution would change a Newton step.
 
     Memory grows faster than the number of elements; meant for small grids and as the reference.
     """
@@ -35,6 +45,8 @@ class DirectSolver:
         self.gamma = penalty
         #: [z, y, neighbour, 3 * row + column, x].
         self.stencil = np.empty((nz1, ny1, 27, 9, nx1))
+        #: Systems for which single precision is not tried: now, and after it will have failed.
+        self._pause, self._next_pause = 0, 1
 
     @property
     def work(self) -> float:
@@ -54,14 +66,12 @@ class DirectSolver:
     ) -> tuple[Vector, Vector, int]:
         """Return the step (du in contact coordinates, dp) and 1, the number of solves.
 
-        ``tolerance`` and ``limit`` are not used: the solution is exact to rounding.
+        ``tolerance`` and ``limit`` are not used.
         """
         system = self.system
         matrix = sparse_matrix(system.stencil, system.free)
         if system.flow is None and system.gamma == system.bulk_modulus:  # dp follows from du
-            with all_threads():
-                factors = factors_of(matrix, self._node_shape)
-            u: Vector = factors.solve(rhs.displacement.astype(float).reshape(-1, 1))
+            u: Vector = self._displacement(matrix, rhs.displacement.astype(float).ravel())
             u = u.reshape(rhs.displacement.shape)
             p: Vector = system.bulk_modulus / system.volume * (system.volume_change(u) - rhs.volume)
             return with_prescribed(u, rhs.prescribed), p, 1
@@ -75,6 +85,45 @@ class DirectSolver:
         u = both[: system.free.size].reshape(system.free.shape)
         p = both[system.free.size :].reshape(system.volume.shape)
         return with_prescribed(u, rhs.prescribed), p, 1
+
+    def _displacement(self, matrix: sp.csr_matrix, forces: Array) -> Array:
+        """Solve for a displacement in single precision, corrected, or where that fails in double.
+
+        It fails in rows of systems, so that each failure in a row doubles the pause after it.
+        """
+        if self._pause == 0:
+            with all_threads():
+                factors = factors_of(matrix, self._node_shape, np.float32)
+            u = _corrected(matrix, factors, forces)
+            if u is not None:
+                self._next_pause = 1
+                return u
+            del factors
+            self._pause, self._next_pause = self._next_pause, min(2 * self._next_pause, _LONGEST)
+        self._pause = max(0, self._pause - 1)
+        with all_threads():
+            factors = factors_of(matrix, self._node_shape)
+        return factors.solve(forces[:, None])[:, 0]
+
+
+def _corrected(matrix: sp.csr_matrix, factors: Factors, forces: Array) -> Array | None:
+    """Solve a system by factors in single precision; None where corrections do not converge."""
+    u, left = np.zeros_like(forces), forces
+    last = math.inf
+    while scale := float(np.abs(left).max()):
+        # scaled, so that no force is too small or too large for single precision
+        correction = scale * factors.solve(left[:, None] / scale)[:, 0]
+        size = float(np.linalg.norm(correction))
+        if not size < _SHRINK * last:
+            return None
+        u += correction
+        left = forces - matrix @ u
+        remains = size * size / last if last < math.inf else size
+        balanced = np.linalg.norm(left) <= _BALANCED * np.linalg.norm(forces)
+        if balanced and remains <= _EXACT * np.linalg.norm(u):
+            break
+        last = size
+    return u
 
 
 def direct_solver(problem: LayerProblem) -> DirectSolver:
@@ -93,10 +142,14 @@ def dissection(node_shape: tuple[int, int, int]) -> Dissection:
     return Dissection(graph, lateral)
 
 
-def factors_of(matrix: sp.csr_matrix, node_shape: tuple[int, int, int]) -> Factors:
+def factors_of(
+    matrix: sp.csr_matrix,
+    node_shape: tuple[int, int, int],
+    dtype: type[np.floating] = np.float64,
+) -> Factors:
     """Factors of a matrix of the displacement, (3, nz + 1, ny + 1, nx + 1), on a grid of nodes."""
     unknowns = np.arange(matrix.shape[0]).reshape(3, -1).T
-    return Factors(matrix, dissection(node_shape), unknowns)
+    return Factors(matrix, dissection(node_shape), unknowns, dtype)
 
 
 def _pressure_blocks(system: NewtonSystem) -> tuple[sp.csr_matrix, sp.csr_matrix]:

@@ -70,7 +70,7 @@ def add_lanes(typing_context, target, first, source, start):
 
 @intrinsic
 def subtract_matrix_product(typing_context, c, a, b):
-    """Subtract a @ b from c, double matrices whose rows are contiguous; a and b are whole ones.
+    """Subtract a @ b from c, all single or all double; rows are contiguous, a and b are whole.
 
     ``np.dot`` would leave the product in an array of its own, which passes through the memory.
     """
@@ -82,19 +82,20 @@ def subtract_matrix_product(typing_context, c, a, b):
         )
         (m, n), (_, k) = (cgutils.unpack_tuple(builder, array.shape, 2) for array in (c, a))
         rows = cgutils.unpack_tuple(builder, c.strides, 2)[0]
-        char, whole, real = ir.IntType(8), m.type, ir.DoubleType()
-        pitch = builder.sdiv(rows, whole(8))
+        kind = signature.args[0].dtype
+        char, whole, real = ir.IntType(8), m.type, context.get_value_type(kind)
+        pitch = builder.sdiv(rows, whole(kind.bitwidth // 8))
         address = char.as_pointer()
         alpha, beta = (cgutils.alloca_once_value(builder, real(value)) for value in (-1.0, 1.0))
         alpha, beta, to, left, right = (
             builder.bitcast(at, address) for at in (alpha, beta, c.data, a.data, b.data)
         )
         kinds = [char] * 3 + [whole] * 3 + [address, address, whole, address, whole]
-        kind = ir.FunctionType(ir.IntType(32), [*kinds, address, address, whole])
-        gemm = cgutils.get_or_insert_function(builder.module, kind, "numba_xxgemm")
-        double, plain = char(ord("d")), char(ord("n"))
+        function = ir.FunctionType(ir.IntType(32), [*kinds, address, address, whole])
+        gemm = cgutils.get_or_insert_function(builder.module, function, "numba_xxgemm")
+        precision, plain = char(ord("s" if kind == types.float32 else "d")), char(ord("n"))
         # BLAS has columns where these have rows: it takes the transposed product
-        sizes = [double, plain, plain, n, m, k]
+        sizes = [precision, plain, plain, n, m, k]
         builder.call(gemm, [*sizes, alpha, right, n, left, k, beta, to, pitch])
         return context.get_dummy_value()
 

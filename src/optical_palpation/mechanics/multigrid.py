@@ -178,7 +178,7 @@ class Hierarchy:
         coarsest = self.levels[-1]
         self._free = free
         matrix = sparse_matrix(st.expanded(coarsest.stencil, coarsest.node_shape[2]), free)
-        self._factors = factors_of(matrix, coarsest.node_shape)
+        self._factors = factors_of(matrix, coarsest.node_shape, np.float32)
 
     def cycle(self) -> Vector:
         """One V-cycle from zero for the ``b`` of the finest level; returns its ``x``."""

@@ -52,7 +52,7 @@ def predicted_memory(shape: tuple[int, int, int], solver: str = "multigrid") -> 
     -----
     An estimate with constants that were measured; what it says of thin layers (fewer elements
     through the thickness than along the sides) is within -25 and +60 %: hard layers need more
-    vectors than easy ones.
+    vectors than easy ones. The direct solver takes 0.6 of it where single precision is enough.
     """
     nz1, ny1, nx1 = (n + 1 for n in shape)
     nodes = nz1 * ny1 * nx1
