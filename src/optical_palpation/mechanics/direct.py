@@ -31,7 +31,7 @@ _LONGEST = 64
 
 
 class DirectSolver:
-    """Solve Newton systems exactly: no closer to a solution would change a Newton step.
+    """Solve Newton systems exactly, or so nearly that Newton's method takes the same steps.
 
     Memory grows faster than the number of elements; meant for small grids and as the reference.
     """
@@ -87,9 +87,10 @@ class DirectSolver:
         return with_prescribed(u, rhs.prescribed), p, 1
 
     def _displacement(self, matrix: sp.csr_matrix, forces: Array) -> Array:
-        """Solve for a displacement in single precision, corrected, or where that fails in double.
+        """Solve for a displacement in single precision, with corrections, or else in double.
 
-        It fails in rows of systems, so that each failure in a row doubles the pause after it.
+        Single precision fails for several systems in a row: each failure doubles the number of
+        systems that follow in double precision.
         """
         if self._pause == 0:
             with all_threads():
