@@ -73,7 +73,9 @@ def test_newton_step_equals_the_direct_one():
         assert_allclose(fast, exact, atol=2e-3 * np.abs(exact).max())
 
 
-@pytest.mark.parametrize(("bulk_to_shear", "attempts"), [(1e2, 8), (1e4, 8), (1e8, 4)])
+@pytest.mark.parametrize(
+    ("bulk_to_shear", "attempts"), [(1e2, (8, 0)), (1e4, (8, 0)), (1e8, (4, 8))]
+)
 def test_direct_step_is_that_of_double_precision(monkeypatch, bulk_to_shear, attempts):
     """Single precision is tried more and more rarely where it loses the shear modulus."""
     problem, state = pressed(8, 3)
@@ -93,8 +95,7 @@ def test_direct_step_is_that_of_double_precision(monkeypatch, bulk_to_shear, att
     for _ in range(8):
         error = np.linalg.norm(solver.solve(rhs, 0.0)[0] - expected)
         assert error < 1e-5 * np.linalg.norm(expected)
-    assert tried.count(np.float32) == attempts
-    assert tried.count(np.float64) == (0 if attempts == 8 else 8)
+    assert (tried.count(np.float32), tried.count(np.float64)) == attempts
 
 
 def test_direct_step_of_a_layer_in_equilibrium_is_none():

@@ -45,7 +45,7 @@ class DirectSolver:
         self.gamma = penalty
         #: [z, y, neighbour, 3 * row + column, x].
         self.stencil = np.empty((nz1, ny1, 27, 9, nx1))
-        #: Systems for which single precision is not tried: now, and after it will have failed.
+        #: Systems still to be solved in double precision, and how many after the next failure.
         self._pause, self._next_pause = 0, 1
 
     @property
@@ -101,7 +101,7 @@ class DirectSolver:
                 return u
             del factors
             self._pause, self._next_pause = self._next_pause, min(2 * self._next_pause, _LONGEST)
-        self._pause = max(0, self._pause - 1)
+        self._pause -= 1
         with all_threads():
             factors = factors_of(matrix, self._node_shape)
         return factors.solve(forces[:, None])[:, 0]
